@@ -342,7 +342,8 @@ class CsvSource:
         return np.append(values, np.nan)[codes]  # code -1 is a blank
 
     def _parsed(self, texts: pd.Series[Any]) -> FloatArray:
-        plain_numbers = texts.astype("str").str.strip()
+        # No more than pandas' parser strips: it refuses a no-break space or a separator of records.
+        plain_numbers = texts.astype("str").str.strip(" \t\v\f\r\n")
         if self.dialect.decimal != ".":
             plain_numbers = plain_numbers.str.replace(".", "x").str.replace(
                 self.dialect.decimal, "."

@@ -2,7 +2,7 @@
 
 Moves at one altitude cost their minutes. Altitudes are flown in one direction: for every range of
 them a design is made with the climb off the budget (`eval.design`), and the best is kept. For a run
-the criterion is what the moves tell of its parameters (`eval.information`).
+the criterion is the information of the moves about its parameters (`eval.information`).
 """
 
 from __future__ import annotations
@@ -108,7 +108,9 @@ class Wanted(NamedTuple):
 def calibration_card(
     bundle: Bundle, wanted: Wanted, data: Path | None = None, progress: Progress = silent
 ) -> Card:
-    """The moves that tell most of a run's parameters; `data` is where its training logs are now.
+    """The moves with most information about a run's parameters.
+
+    `data` is where its training logs are now.
 
     Raises `ConfigError` for limits that do not fit the run or admit no move, `ModelError` for a
     run without dynamic parameters, `DataError` where its training logs are not at hand.

@@ -26,7 +26,7 @@ are flights. Benjamini and Yekutieli's adjustment then bounds the share of false
 changes that are found in the fleet, whatever the dependence of its series. A found change enters X,
 and the next one is looked for; a change is kept while it is significant next to the others. Steps
 would teach that levels wander, and so hide each other: q is the median of the series' own likeliest
-values (0 in two of three where nothing wanders), which a fifth of them do not move; variances are
+values (0 in two of three where nothing wanders), which a sixth of them do not move; variances are
 learned anew without the changes that were found, and without those that are significant at 1 % in
 their own series.
 """

@@ -1,4 +1,4 @@
-"""The flight card of an undecided diagnosis: moves that tell its hypotheses apart.
+"""The flight card of an undecided diagnosis: moves that separate its hypotheses.
 
 Hypotheses i and j predict records of the next flight that differ by D. Both are Gaussian with the
 same covariance: noise and errors of the simulator V, differences of build, an offset of the flight,
@@ -75,7 +75,7 @@ class Undecided(NamedTuple):
 
 
 def separation_card(file: Path, wanted: Wanted) -> Card:
-    """The moves that tell apart what a `gap.json` leaves open.
+    """The moves that separate what a `gap.json` leaves open.
 
     Raises `ConfigError` for a decided diagnosis, for limits that do not fit it or admit no move,
     `ModelError` for a damaged emulator.
@@ -105,7 +105,7 @@ def separation_card(file: Path, wanted: Wanted) -> Card:
         steps_of(chosen, some, ranges, grams, columns.divergence),
         chosen.minutes,
         tuple((f"{a} or {b}", 0.5, chance, "chance to be right") for a, b, chance in rows),
-        "; ".join(f"{a} and {b} are told apart with a chance of {100.0 * chance:.0f} %"
+        "; ".join(f"{a} and {b} are separated with a probability of {100.0 * chance:.0f} %"
                   for a, b, chance in rows),
         (),
         {"hypotheses": {one.effect.name: one.probability for one in open_.hypotheses}},
@@ -129,7 +129,7 @@ def read_undecided(file: Path) -> Undecided:
         verdict = document["verdict"]
         named = " and ".join(verdict["effects"]) or "no effect"
         raise ConfigError(
-            f"the diagnosis leaves nothing open that a flight could tell apart: it found {named}",
+            f"the diagnosis leaves nothing open that a flight could separate: it found {named}",
             file=file,
             hint="A card is for an ambiguous or undetermined diagnosis, or for a run",
         )

@@ -33,7 +33,7 @@ def add_options(parser: ArgumentParser) -> None:
         "--minutes", metavar="N", type=minutes, default=20.0, help="flight time (default 20)"
     )
     parser.add_argument(
-        "--out", metavar="CARD.html", type=path, required=True, help="and CARD.json beside it"
+        "--out", metavar="CARD.html", type=path, required=True, help="and CARD.json next to it"
     )
     parser.add_argument(
         "--criterion",

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from data_prep.derive import WeightOnWheels
 from data_prep.draft import Draft, draft
 from data_prep.equilibrium import BELOW_IDLE, in_equilibrium
 from data_prep.log import Log
@@ -32,7 +33,6 @@ from narxcal.support.files import atomic_write_bytes, atomic_write_text, check_f
 from narxcal.support.settings import OPEN
 from training.config import SCHEMA, RunConfig
 
-_FLIES_KT = 70.0  # calibrated airspeed above which no wheel carries weight
 _MOST_READ = 3  # files that are read as a whole
 _AIR = ("ALT_ft", "Mach", "dT_C")
 _OUTPUTS = ("N1_pct", "N2_pct", "EGT_C")
@@ -148,7 +148,9 @@ class _Text:
     def _flies(self) -> bool:
         """Whether Mach and altitude show an aircraft in flight, not an engine on a bench."""
         logs = [log for log in self.logs if len(log.recorded(("Mach", "ALT_ft"))) == 2]
-        return any(np.nanmax(cas_of_mach(log["Mach"], log["ALT_ft"])) > _FLIES_KT for log in logs)
+        rule = WeightOnWheels()
+        flies_kt = rule.below_kt + rule.hysteresis_kt
+        return any(np.nanmax(cas_of_mach(log["Mach"], log["ALT_ft"])) > flies_kt for log in logs)
 
     def _driver(self) -> tuple[str, str]:
         there = {name for log in self.logs for name in log.channels if log.recorded([name])}

@@ -23,7 +23,7 @@ def add_options(parser: ArgumentParser) -> None:
         "fleet", metavar="FLEET", type=address, help="dataset that narxcal fleet wrote"
     )
     parser.add_argument(
-        "--out", metavar="PAGE.html", type=path, required=True, help="and PAGE.json beside it"
+        "--out", metavar="PAGE.html", type=path, required=True, help="and PAGE.json next to it"
     )
     parser.add_argument(
         "--engine",

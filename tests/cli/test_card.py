@@ -247,6 +247,6 @@ def test_a_decided_diagnosis_needs_no_card(narxcal, diagnosed, limits, tmp_path)
     assert ended.code == 2
     assert ended.err == (
         f"narxcal: error: {diagnosed / 'gap.json'}: the diagnosis leaves nothing open that a "
-        "flight could tell apart: it found sensor_lag:EGT_C. A card is for an ambiguous or "
+        "flight could separate: it found sensor_lag:EGT_C. A card is for an ambiguous or "
         "undetermined diagnosis, or for a run\n"
     )

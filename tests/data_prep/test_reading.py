@@ -480,6 +480,14 @@ def test_whatever_the_bytes_are_they_read_or_are_refused(tmp_path, content):
     assert all(len(log) >= 2 and (np.diff(log.time_s) > 0).all() for log in logs)
 
 
+@pytest.mark.parametrize("mark", ["\x1e", "\xa0"])
+def test_what_only_python_takes_for_a_blank_is_named(tmp_path, mark):
+    path = write(tmp_path, HEAD + f"0,50\n0.1,50{mark}\n0.2,50\n")
+    assert error_of(path).startswith(
+        f"FILE, channel N1_pct, row 2: expected a number, found '50{ascii(mark)[1:-1]}'"
+    )
+
+
 def test_a_row_with_a_missing_field_is_masked_and_never_shifted(tmp_path):
     rows = [f"{k / 10},{80 + k},{500 + k}" for k in range(40)]
     rows[7], rows[20], rows[33] = "0.7,507", "100,520", '3.3,"113"'
