@@ -255,7 +255,7 @@ def arrays_changed(rng, data):
         return bytes_changed(rng, data)
     if kind == 1:
         try:
-            header = json.dumps(value_changed(rng, json.loads(header))).encode()
+            header = dumped(value_changed(rng, json.loads(header))).encode()
         except (TypeError, KeyError, AttributeError):
             header = b"{}"
     for _ in range(int(rng.integers(1, 4)) if kind > 1 else 0):
@@ -263,6 +263,27 @@ def arrays_changed(rng, data):
         number = float(pick(rng, (np.nan, np.inf, 1e300, -1e300, 0.0, -1.0, 1e9, 1e-300)))
         body[at : at + 8] = struct.pack("<d", number)
     return struct.pack("<Q", len(header)) + header + bytes(body)
+
+
+@contextmanager
+def deeply():
+    """What is nested may be written here, however deeply."""
+    limit = sys.getrecursionlimit()
+    sys.setrecursionlimit(100 * limit)
+    try:
+        yield
+    finally:
+        sys.setrecursionlimit(limit)
+
+
+def dumped(value):
+    with deeply():
+        return json.dumps(value, indent=1)
+
+
+def sealed(value):
+    with deeply():
+        return seal(value)
 
 
 # --- what is handed to whom; each gets (rng, folder, sound) and returns a word about the result ---
@@ -367,8 +388,8 @@ def case_bundle_resealed(rng, folder, sound):
     if isinstance(document, dict):
         document.pop("sha256", None)
         with suppress(ValueError, TypeError):
-            document = {**document, "sha256": seal(document)}
-    text = json.dumps(document, indent=1) + "\n"
+            document = {**document, "sha256": sealed(document)}
+    text = dumped(document) + "\n"
     (run / "bundle.json").write_text(text, encoding="utf-8", errors="surrogatepass")
     return _used(run)
 
@@ -397,7 +418,7 @@ def case_results(rng, folder, sound):
         )
         told = {"schema": "narxcal.discrepancy/1", **(told if isinstance(told, dict) else {})}
         told |= {"bundle_sha256": sha256_of(folder / "bundle.json")}
-        learned = {**told, "sha256": seal(told)}
+        learned = {**told, "sha256": sealed(told)}
         return _changed_json(rng, folder, "discrepancy.json", learned, lambda: learned_by(folder))
     if kind == 3:
         arrays = {name: np.ones((2, 3)) for name in ("low", "high", "weights", "theta", "thermal")}
@@ -416,8 +437,8 @@ def case_results(rng, folder, sound):
     own = ("parameters", "network", "result")
     changed = value_changed(rng, {key: document[key] for key in own})
     document |= changed if isinstance(changed, dict) else {}
-    document["sha256"] = seal({key: document.get(key) for key in own})
-    (run / "narx.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    document["sha256"] = sealed({key: document.get(key) for key in own})
+    (run / "narx.json").write_text(dumped(document) + "\n", encoding="utf-8")
     load_estimator(run)
     return "loaded"
 
@@ -431,7 +452,7 @@ def _command(*words):
 
 
 def _changed_json(rng, folder, name, document, read):
-    text = json.dumps(value_changed(rng, document)).encode()
+    text = dumped(value_changed(rng, document)).encode()
     (folder / name).write_bytes(bytes_changed(rng, text) if rng.random() < 0.3 else text)
     read()
     return "read"
@@ -445,7 +466,7 @@ def case_checkpoint(rng, folder, _sound):
     else:  # as its author could have written it
         with safe_open(file, framework="numpy") as stored:
             header = stored.metadata()
-        state = json.dumps(value_changed(rng, json.loads(header["state"])))
+        state = dumped(value_changed(rng, json.loads(header["state"])))
         arrays = {pick(rng, ("theta", "theta", "best_theta", "first")): np.ones(3)}
         header |= {"state": state, "sha256": checkpoint._digest(arrays, state)}
         file.write_bytes(save_arrays(arrays, header))

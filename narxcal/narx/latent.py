@@ -382,7 +382,6 @@ class LatentModel:
             kept[name] = np.array(found, dtype=np.float64)
         return cls(
             shape, kept["theta"], (kept["low"], kept["high"]),
-            Scaling(kept["input_scaling.centre"], kept["input_scaling.scale"]),
-            Scaling(kept["output_scaling.centre"], kept["output_scaling.scale"]),
+            Scaling.stored(kept, "input_scaling"), Scaling.stored(kept, "output_scaling"),
             kept["noise"], kept["persistence"], int(meta["memory"]),
         )  # fmt: skip

@@ -159,6 +159,10 @@ _NAMES = (
 )  # fmt: skip
 
 
+# A channel that moves less is constant.
+_SMALLEST_SPREAD = 1e-9
+
+
 def tap(u: FloatArray, taps: Sequence[int]) -> FloatArray:
     """Delay line: (time, inputs) -> (time, taps * inputs); u is constant before its start."""
     tapped = np.empty((len(u), len(taps), u.shape[1]))
@@ -184,8 +188,23 @@ class Scaling:
     def of(cls, values: FloatArray, *, centred: bool = True) -> Scaling:
         """Fit to (time, channel), NaN left out; a constant channel gets scale 1."""
         spread = np.nanstd(values, axis=0)
-        scale = np.where(spread > 1e-9, spread, 1.0)
+        scale = np.where(spread > _SMALLEST_SPREAD, spread, 1.0)
         centre = np.nanmean(values, axis=0) if centred else np.zeros(values.shape[1])
+        return cls(centre, scale)
+
+    @classmethod
+    def stored(cls, arrays: Mapping[str, FloatArray], name: str) -> Scaling:
+        """Rebuild from the arrays `name.centre` and `name.scale`.
+
+        Raises `ModelError` for what `of` cannot give: a scale below its smallest, or a centre so
+        many scales away that a scaled value has no digit left.
+        """
+        centre, scale = arrays[f"{name}.centre"], arrays[f"{name}.scale"]
+        if not (scale >= _SMALLEST_SPREAD).all():
+            found = f"found {scale.min()}"
+            raise ModelError(f"'{name}.scale' has to be at least {_SMALLEST_SPREAD}, {found}")
+        if (np.abs(centre) > scale / np.finfo(np.float64).eps).any():
+            raise ModelError(f"'{name}.centre' is too large for its scale to leave a digit")
         return cls(centre, scale)
 
     def down(self, values: FloatArray) -> FloatArray:
@@ -337,12 +356,7 @@ class NarxModel:
                 given = None if found is None else found.shape
                 raise ModelError(f"weight '{name}' has to be of shape {shape}, found {given}")
             kept[name] = np.array(found, dtype=np.float64)
-            if name.endswith(".scale") and not (kept[name] > 0.0).all():
-                raise ModelError(f"'{name}' has to be positive")
-        scalings = (
-            Scaling(kept[f"{name}_scaling.centre"], kept[f"{name}_scaling.scale"])
-            for name in ("input", "output")
-        )
+        scalings = (Scaling.stored(kept, f"{name}_scaling") for name in ("input", "output"))
         return cls(Weights.of(config, kept), *scalings)
 
 

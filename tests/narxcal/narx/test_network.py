@@ -106,6 +106,29 @@ def test_a_misshapen_weight_is_named():
     assert str(error.value) == "weight 'hidden.bias' has to be of shape (8,), found None"
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        (
+            "output_scaling.scale",
+            7e-221,
+            "'output_scaling.scale' has to be at least 1e-09, found 7e-221",
+        ),
+        (
+            "input_scaling.centre",
+            -5e287,
+            "'input_scaling.centre' is too large for its scale to leave a digit",
+        ),
+    ],
+)
+def test_a_scaling_that_no_data_give_is_refused(name, value, message):
+    meta, arrays = model().to_arrays()
+    arrays[name] = np.array([1.0, value])
+    with pytest.raises(ModelError) as error:
+        NarxModel.from_arrays(meta, arrays)
+    assert str(error.value) == message
+
+
 def test_inputs_and_starts_of_another_shape_are_refused():
     with pytest.raises(DataError) as error:
         model().simulate(np.zeros((5, 3)), np.zeros(2))
