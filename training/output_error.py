@@ -6,16 +6,14 @@ measurement noise of covariance R = diag(sigma^2). Minimised is (DeHoff et al., 
     J(theta) = 1/2 sum_k v(k)' R^-1 v(k)            R known
     J        = N/2 ln det R,  R = 1/N sum_k v v'    R estimated, in turns with theta
 
-by Levenberg-Marquardt on M = sum S' R^-1 S and g = -sum S' R^-1 v with S = dy/dtheta, or by a
-quasi-Newton method (L-BFGS-B) on J and g. Sensitivities are complex steps: `Model.simulate` is run
-once per free parameter with a value of value + 1e-20 i, and has to be written so that it accepts
-that (arithmetic, and comparisons of real parts); no difference is taken, so they are exact.
+by Levenberg-Marquardt on M = sum S' R^-1 S and g = -sum S' R^-1 v with S = dy/dtheta.
+Sensitivities are complex steps: `Model.simulate` is run once per free parameter with a value of
+value + 1e-20 i, and has to be written so that it accepts that (arithmetic, and comparisons of real
+parts); no difference is taken, so they are exact.
 
 Hysteresis makes J continuous with kinks where the contact set changes. Between them the
 sensitivities are exact, and a step that does not lower J is rejected, so the method goes downhill
-through kinks and can only stop early at one. Then the status is "stalled", and `profile` finds the
-minimum over that parameter. It also gives an interval that needs no curvature: use it for a
-hysteresis with fewer than about ten reversals.
+through kinks and can only stop early at one. Then the status is "stalled".
 
 Sources: Maine and Iliff, NASA RP-1168, 1985; Klein and Morelli, Aircraft System Identification,
 2006, chapter 6; bounds by projection with an active set, Bertsekas, SIAM J. Control 20(2), 1982.
@@ -23,16 +21,16 @@ Sources: Maine and Iliff, NASA RP-1168, 1985; Klein and Morelli, Aircraft System
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import islice
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
-from scipy.optimize import minimize
 
+from narxcal.output_error.engine import Parameter
 from narxcal.record import Record, check_measured, check_records
 from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import ConfigError, DataError, ModelError
@@ -42,10 +40,7 @@ from training.likelihood_statistics import (
     information,
     whiteness,
 )
-from training.output_error_plan import Layout, Model, Plan, layout_of
-from training.output_error_result import OutputErrorFit, Profile, Status
-
-__all__ = ["Model", "Plan", "fit", "profile"]
+from training.output_error_result import OutputErrorFit, Status
 
 _COMPLEX_STEP = 1e-20
 # Newton decrement g' M^-1 g, twice the drop of J that a full step still promises: 1e-3 is a step
@@ -53,6 +48,121 @@ _COMPLEX_STEP = 1e-20
 _CONVERGED = 1e-3
 # A drop of J by less than this is a step of about 1e-3 standard deviations.
 _SMALL_DROP = 1e-6
+
+
+class Model(Protocol):
+    """Outputs from inputs, for parameters by name.
+
+    `simulate` gets inputs (time, m) and returns outputs (time, p) in the order of `output_names`,
+    complex if a value is.
+    """
+
+    @property
+    def parameters(self) -> Sequence[Parameter]: ...  # noqa: D102
+    @property
+    def output_names(self) -> Sequence[str]: ...  # noqa: D102
+    def simulate(self, values: Mapping[str, complex], u: FloatArray) -> NDArray[Any]: ...  # noqa: D102
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """Which parameters are estimated, and from where.
+
+    `free` names them (None: as the model says); `fixed` gives values and takes them out of `free`;
+    `tied` maps a parameter to the one whose value it takes (None: as the model says); parameters in
+    `per_record` have a value of their own in each record (initial states, offsets), all others are
+    shared; `start` and `bounds` replace the model's. `sigma` maps outputs to known noise standard
+    deviations; None estimates them.
+    """
+
+    free: Sequence[str] | None = None
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    tied: Mapping[str, str] | None = None
+    per_record: Sequence[str] = ()
+    start: Mapping[str, float] = field(default_factory=dict)
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    sigma: Mapping[str, float] | None = None
+    iterations: int = 60
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """One free number: a parameter, shared or of one record."""
+
+    parameter: str
+    record: int | None
+    name: str
+    start: float
+    low: float
+    high: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Free numbers in order, values of fixed parameters, and ties."""
+
+    coordinates: tuple[Coordinate, ...]
+    constants: Mapping[str, float]
+    ties: Mapping[str, str]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """NAME, or NAME@RECORD where each record has its own."""
+        return tuple(one.name for one in self.coordinates)
+
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper bounds (P,)."""
+        low = np.array([one.low for one in self.coordinates])
+        return low, np.array([one.high for one in self.coordinates])
+
+    def values(self, theta: Sequence[complex], record: int) -> dict[str, complex]:
+        """Every parameter by name in one record, for free numbers theta (P,)."""
+        found: dict[str, complex] = dict(self.constants)
+        for one, value in zip(self.coordinates, theta, strict=True):
+            if one.record in (None, record):
+                found[one.parameter] = value
+        return found | {name: found[source] for name, source in self.ties.items()}
+
+
+def layout_of(model: Model, records: Sequence[Record], plan: Plan) -> Layout:
+    """Sort the parameters of the model into free, fixed and tied ones."""
+    known = {one.name: one for one in model.parameters}
+    ties = plan.tied
+    if ties is None:
+        ties = {one.name: one.tied_to for one in model.parameters if one.tied_to}
+    named = [*(plan.free or ()), *plan.fixed, *plan.per_record, *plan.start, *plan.bounds, *ties,
+             *ties.values()]  # fmt: skip
+    for name in named:
+        if name not in known:
+            raise ConfigError(
+                f"the model has no parameter {name!r}", hint=f"It has {', '.join(known)}"
+            )
+    free = [
+        name
+        for name, one in known.items()
+        if (name in plan.free if plan.free is not None else one.free or name in plan.per_record)
+        and name not in plan.fixed
+        and name not in ties
+    ]
+    coordinates = []
+    for name in free:
+        low, high = plan.bounds.get(name, (known[name].low, known[name].high))
+        start = plan.start.get(name, known[name].start)
+        if not low <= start <= high:
+            raise ConfigError(f"{name} starts at {start:g}, outside its bounds {low:g} to {high:g}")
+        own = [*range(len(records))] if name in plan.per_record else [None]
+        for k in own:
+            label = name if k is None else f"{name}@{records[k].name}"
+            coordinates.append(Coordinate(name, k, label, start, low, high, known[name].unit))
+    if not coordinates:
+        raise ConfigError("no parameter is free", hint="Name one in free, or take it out of fixed")
+    rest = {
+        name: plan.fixed.get(name, plan.start.get(name, one.start))
+        for name, one in known.items()
+        if name not in free and name not in ties
+    }
+    return Layout(tuple(coordinates), rest, ties)
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,15 +309,14 @@ def _search(
     problem: _Likelihood, theta: FloatArray, plan: Plan
 ) -> tuple[FloatArray, _Likelihood, int]:
     """Minimise over theta, in turns with R where it is not known; never both in one step."""
-    descend = _descend if plan.method == "levenberg-marquardt" else _quasi_newton
     if plan.sigma is not None:
-        theta, count = descend(problem, theta, plan.iterations)
+        theta, count = _descend(problem, theta, plan.iterations)
         return theta, problem, count
     total, before = 0, np.inf
     while total < plan.iterations:
         problem = replace(problem, sigma=_estimated_sigma(problem, theta))
         cost = _log_likelihood_cost(problem, theta)
-        theta, count = descend(problem, theta, plan.iterations - total)
+        theta, count = _descend(problem, theta, plan.iterations - total)
         total += max(count, 1)
         if before - cost < 1e-6 * max(1.0, abs(cost)):
             break
@@ -261,27 +370,6 @@ def _stopped(
 ) -> BoolArray:
     """Parameters on a bound beyond which J would fall."""
     return ((theta <= low) & (gradient > 0)) | ((theta >= high) & (gradient < 0))
-
-
-def _quasi_newton(problem: _Likelihood, theta: FloatArray, limit: int) -> tuple[FloatArray, int]:
-    """L-BFGS-B in units of the Cramer-Rao deviation of each parameter alone."""
-    low, high = problem.layout.bounds()
-    diagonal = np.diag(problem.normal_equations(theta).hessian)
-    scale = 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-
-    def cost(x: FloatArray) -> tuple[float, FloatArray]:
-        point = problem.normal_equations(np.clip(x * scale, low, high))
-        return point.loss, point.gradient * scale
-
-    found = minimize(
-        cost,
-        theta / scale,
-        jac=True,
-        method="L-BFGS-B",
-        bounds=list(zip(low / scale, high / scale, strict=True)),
-        options={"maxiter": 5 * limit, "ftol": 1e-13, "gtol": 1e-3, "maxcor": 30},
-    )
-    return np.clip(found.x * scale, low, high), int(found.nit)
 
 
 def _result(
@@ -343,20 +431,7 @@ def _status(
     if unidentifiable:
         return "unidentifiable", f"Fix or tie one parameter of each of: {'; '.join(unidentifiable)}"
     if decrement > _CONVERGED:
-        return "stalled", "No step lowers the cost: profile the hysteresis, or change Plan.start"
+        return "stalled", "No step lowers the cost: fix the hysteresis, or change Plan.start"
     if bound:
         return "on a bound", f"Widen the bounds of {', '.join(bound)}, or fix it there"
     return "converged", "Check the residuals, and predict a record that was not used"
-
-
-def profile(
-    model: Model, records: Sequence[Record], plan: Plan, name: str, grid: Sequence[float]
-) -> Profile:
-    """Fit all other parameters at each value of `name` (the robust way with a hysteresis)."""
-    fits: list[OutputErrorFit] = []
-    for value in grid:
-        start = {**plan.start, **(fits[-1].parameters() if fits else {})}
-        own = replace(plan, fixed={**plan.fixed, name: float(value)}, start=start)
-        fits.append(fit(model, records, own))
-    cost = np.array([one.cost for one in fits])
-    return Profile(name, np.asarray(grid, dtype=np.float64), cost, tuple(fits))

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from scipy.stats import chi2, norm
+from scipy.stats import norm
 
 from narxcal.support.arrays import FloatArray
-from training.likelihood_statistics import correlation
 
 Status = Literal["converged", "on a bound", "unidentifiable", "stalled", "not converged"]
 
@@ -61,11 +60,6 @@ class OutputErrorFit:
         """Standard deviations (P,) of the intervals."""
         return self.sd if self.white else self.sd_coloured
 
-    @property
-    def correlation(self) -> FloatArray:
-        """Correlation matrix (P, P) of the estimates."""
-        return correlation(self.covariance)
-
     def interval(self, name: str, level: float = 0.9) -> tuple[float, float]:
         """Confidence interval of one free parameter."""
         k = self.names.index(name)
@@ -100,34 +94,3 @@ class OutputErrorFit:
             "unidentifiable": list(self.unidentifiable),
             "warnings": list(self.warnings),
         }
-
-
-@dataclass(frozen=True, eq=False)
-class Profile:
-    """Likelihood over one parameter, all others estimated at each value of the grid."""
-
-    name: str
-    grid: FloatArray
-    cost: FloatArray
-    fits: tuple[OutputErrorFit, ...]
-
-    @property
-    def best(self) -> OutputErrorFit:
-        """The fit at the lowest cost."""
-        return self.fits[int(np.argmin(self.cost))]
-
-    def interval(self, level: float = 0.9) -> tuple[float, float]:
-        """Values whose likelihood ratio stays below the chi-squared limit; grid ends if none."""
-        limit = 0.5 * float(chi2.ppf(level, 1))
-        excess = self.cost - self.cost.min()
-        inside = np.flatnonzero(excess <= limit)
-        first, last = int(inside[0]), int(inside[-1])
-        return self._crossing(first, first - 1, limit), self._crossing(last, last + 1, limit)
-
-    def _crossing(self, inside: int, outside: int, limit: float) -> float:
-        """Where the cost crosses the limit between two grid values, linearly in its root."""
-        if not 0 <= outside < len(self.grid):
-            return float(self.grid[inside])
-        a, b = (np.sqrt(self.cost[k] - self.cost.min()) for k in (inside, outside))
-        share = (np.sqrt(limit) - a) / (b - a)
-        return float(self.grid[inside] + share * (self.grid[outside] - self.grid[inside]))

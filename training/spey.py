@@ -20,7 +20,7 @@ from narxcal.output_error.engine import (
     EngineFromFuel,
     ThrottleLinkage,
 )
-from narxcal.output_error.experiment import FlightRecord
+from narxcal.output_error.paper import FlightRecord
 from narxcal.record import Record
 from training.likelihood_statistics import Combined, combine, propagate
 from training.output_error import Model, Plan, fit

@@ -16,15 +16,16 @@ from scipy.stats import binom, norm
 from eval.report.tables import Cell, Table, figure
 from eval.reproduce.study import Claim, Study, table_of
 from narxcal.output_error.engine import EngineAndControl
-from narxcal.output_error.experiment import fly, throttle_programme
 from narxcal.output_error.paper import (
     SAMPLING_S,
     TABLE_3,
     TABLE_4,
     TAU_ENGINE,
     Side,
+    fly,
     noise_sd,
     table_4,
+    throttle_programme,
 )
 from narxcal.support.parallel import in_processes
 from narxcal.support.progress import Progress, silent

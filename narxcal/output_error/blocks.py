@@ -206,8 +206,8 @@ class Rotors:
         tau_H N_H' = -N_H + C_FH W_F
         tau_L N_L' = -N_L + C_HL ((1 - alpha) N_H + alpha C_FH W_F)
 
-    Reconstruction: as printed (`printed_eq1`), the right-hand sides but for the first terms are not
-    divided by tau; then steady gains depend on the time constants, which contradicts Table 4.
+    Reconstruction: as printed, the right-hand sides but for the first terms are not divided by tau;
+    then steady gains depend on the time constants, which contradicts Table 4.
     """
 
     tau_H: complex
@@ -215,16 +215,14 @@ class Rotors:
     C_FH: complex
     C_HL: complex
     alpha: complex
-    printed_eq1: bool = False
 
     def system(self) -> LinearSystem:
         """Give the linear system with states and outputs (N_H, N_L)."""
-        by_h, by_l = (1.0, 1.0) if self.printed_eq1 else (self.tau_H, self.tau_L)
         A = [
             [-1.0 / self.tau_H, 0.0],
-            [self.C_HL * (1.0 - self.alpha) / by_l, -1.0 / self.tau_L],
+            [self.C_HL * (1.0 - self.alpha) / self.tau_L, -1.0 / self.tau_L],
         ]
-        B = [[self.C_FH / by_h], [self.alpha * self.C_FH * self.C_HL / by_l]]
+        B = [[self.C_FH / self.tau_H], [self.alpha * self.C_FH * self.C_HL / self.tau_L]]
         return LinearSystem(np.array(A), np.array(B), np.eye(2), np.zeros((2, 1)))
 
 

@@ -178,12 +178,10 @@ class EngineAndControl:
     """Commanded deflection -> all measurements of Table 2, with the loop of the governor closed.
 
     C_FB is tied to C_FH, which makes the steady N_H equal to the commanded one and
-    tau_engine = tau_H / (K_AF C_FB). With `printed_eq1` the rows of equation 1 are as printed.
+    tau_engine = tau_H / (K_AF C_FB).
     """
 
     dt_s: float
-    printed_eq1: bool = False
-    substeps: int = 4
     parameters: Sequence[Parameter] = (*_LINKAGE, *_CONTROL, *_ROTORS, *_PRESSURES, *_OFFSETS)
     input_names: Sequence[str] = ("delta_c",)
     output_names: Sequence[str] = ("delta_TM", "W_FM", "N_HM", "N_LM", "P_TM", "P_DM")
@@ -194,12 +192,12 @@ class EngineAndControl:
         N_c = play(values["K_TH"] * delta_T, values["d1"])
         names = ("K_AF", "C_FB", "d2", "mu", "A_low", "A_high", "W_F0")
         governor = Governor(**{name: values[name] for name in names})
-        engine = governor.engine(rotor_block(values, printed_eq1=self.printed_eq1))
+        engine = governor.engine(rotor_block(values))
         fuel = LinearSystem.gain(np.eye(3)[2:])
         meter = fuel.then(flowmeter(*(values[name] for name in ("zeta", "omega", "K_SF"))))
         plant = engine.then(speeds_and_pressures(values, 3).beside(meter))
         shift = _state(values, _STARTS, len(plant.A))
-        N_H, N_L, P_E, P_D, W_m = governor.respond(plant, N_c, self.dt_s, self.substeps, shift).T
+        N_H, N_L, P_E, P_D, W_m = governor.respond(plant, N_c, self.dt_s, shift=shift).T
         return np.column_stack([
             values["b0"] + values["b1"] * delta_T,
             W_m,
@@ -348,10 +346,10 @@ def _state(values: Parameters, names: Sequence[str], size: int) -> Values:
     return np.array([*given, *[0.0] * (size - len(given))])
 
 
-def rotor_block(values: Parameters, *, printed_eq1: bool = False) -> LinearSystem:
+def rotor_block(values: Parameters) -> LinearSystem:
     """Rotors W_F -> (N_H, N_L) of named parameters."""
     names = ("tau_H", "tau_L", "C_FH", "C_HL", "alpha")
-    return Rotors(**{name: values[name] for name in names}, printed_eq1=printed_eq1).system()
+    return Rotors(**{name: values[name] for name in names}).system()
 
 
 def speeds_and_pressures(values: Parameters, inputs: int) -> LinearSystem:

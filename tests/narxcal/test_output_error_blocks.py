@@ -82,12 +82,6 @@ def test_rotors_with_equal_time_constants_have_their_critical_response():
     np.testing.assert_allclose(y, 3.39 * 0.114 * (1 - (1 + s) * np.exp(-s)), atol=1e-12)
 
 
-def test_only_equation_1_as_printed_has_gains_that_depend_on_the_time_constants():
-    printed = Rotors(**LEFT, printed_eq1=True).system().equilibrium([1.0])
-    assert printed[0] == pytest.approx(0.232 * 0.114)
-    assert Rotors(**LEFT).system().equilibrium([1.0])[0] == pytest.approx(0.114)
-
-
 def loop(values, k_af, **more):
     governor = Governor(**{"K_AF": k_af, "C_FB": values["C_FH"], **more})
     return governor, governor.engine(Rotors(**values).system())

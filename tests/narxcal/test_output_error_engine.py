@@ -14,8 +14,16 @@ from narxcal.output_error.engine import (
     EngineFromSteady,
     ThrottleLinkage,
 )
-from narxcal.output_error.experiment import PROGRAMMES, fly, throttle_programme
-from narxcal.output_error.paper import TABLE_3, TABLE_4, TAU_ENGINE, noise_sd, table_4
+from narxcal.output_error.paper import (
+    PROGRAMMES,
+    TABLE_3,
+    TABLE_4,
+    TAU_ENGINE,
+    fly,
+    noise_sd,
+    table_4,
+    throttle_programme,
+)
 from training.likelihood_statistics import combine
 
 DT = 0.05

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from narxcal.output_error.engine import EngineAndControl
-from narxcal.output_error.experiment import fly
-from narxcal.output_error.paper import noise_sd, table_4
+from narxcal.output_error.paper import fly, noise_sd, table_4
 from training.output_error import Plan, fit
 from training.spey import identify, prediction_error, repeatability, tau_engine_of
 
