@@ -11,7 +11,7 @@ import os
 import platform
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -43,17 +43,27 @@ _VERDICTS = {True: ("yes", "green"), False: ("no", "red"), None: ("", "")}
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure, print a table or JSON; always 0, since a missed target is a figure, no failure."""
+    options = _parser().parse_args(arguments)
+    options.data = options.data.resolve()
+    began = time.perf_counter()
+    found = list(_measured(options))
+    document = describe(found, time.perf_counter() - began)
+    if options.json:
+        sys.stdout.write(to_json(document))
+    else:
+        show(Console(), found, document)
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m eval.bench", description=__doc__)
     which = parser.add_mutually_exclusive_group()
-    which.add_argument("--flights", action="store_true", help="leave one flight out instead")
-    which.add_argument(
-        "--untuned",
-        action="store_true",
-        help="instead, configurations of columns and split alone on many engines and recorders",
-    )
-    which.add_argument(
-        "--fleets", action="store_true", help="instead, more flights and a bad one, virtual fleets"
-    )
+    for name, words in (
+        ("--flights", "leave one flight out instead"),
+        ("--untuned", "instead, configurations of columns and split on many engines and recorders"),
+        ("--fleets", "instead, more flights and a bad one, virtual fleets"),
+    ):
+        which.add_argument(name, action="store_true", help=words)
     which.add_argument(
         "--recorders",
         nargs="?",
@@ -68,45 +78,43 @@ def main(arguments: Sequence[str] | None = None) -> int:
         default=recorders.SETS,
         help=f"of --recorders, comma-separated: {','.join(recorders.SETS)}",
     )
-    parser.add_argument(
-        "--leave-out", action="store_true", help="of --recorders: train on all recordings but one"
-    )
-    parser.add_argument(
-        "--screening-only", action="store_true", help="of --recorders: faults alone, no training"
-    )
-    parser.add_argument(
-        "--seed", type=int, default=0, help="of flights that are flown, and of faults"
-    )
+    for name, words in (
+        ("--leave-out", "of --recorders: train on all recordings but one"),
+        ("--screening-only", "of --recorders: faults alone, no training"),
+        ("--json", "print one JSON document"),
+    ):
+        parser.add_argument(name, action="store_true", help=words)
+    parser.add_argument("--seed", type=int, default=0, help="of flights that are flown, of faults")
     parser.add_argument(
         "--data", type=Path, default=_SHARED, help="folder that holds bench, flights, agtf30"
     )
-    parser.add_argument("--json", action="store_true", help="print one JSON document")
-    options = parser.parse_args(arguments)
-    options.data = options.data.resolve()
-    began = time.perf_counter()
+    return parser
+
+
+def _measured(options: argparse.Namespace) -> Iterator[Row]:
+    """Rows of the part that was chosen."""
+    data, seed = options.data, options.seed
     if options.untuned:
-        found = list(untuned.rows(options.data, options.seed))
+        yield from untuned.rows(data, seed)
     elif options.recorders:
-        found = list(
-            recorders.rows(
-                options.recorders.resolve(),
-                options.sets,
-                _priors(options.recorders.resolve()),
-                leave_out=options.leave_out,
-                screening_only=options.screening_only,
-            )
+        folder = options.recorders.resolve()
+        yield from recorders.rows(
+            folder,
+            options.sets,
+            _priors(folder),
+            leave_out=options.leave_out,
+            screening_only=options.screening_only,
         )
     elif options.fleets:
-        found = list(fleets.rows(options.seed))
-        found += flights.more_flights_rows(options.data / "flights")
+        yield from fleets.rows(seed)
+    elif options.flights:
+        for campaign, name in zip(flights.CAMPAIGNS, ("flights", "agtf30"), strict=True):
+            yield from flights.rows(data / name, (campaign,))
     else:
-        found = _flights(options.data) if options.flights else _short(options.data, options.seed)
-    document = describe(found, time.perf_counter() - began)
-    if options.json:
-        sys.stdout.write(to_json(document))
-    else:
-        show(Console(), found, document)
-    return 0
+        yield from speed.rows()
+        yield from virtual_engine.rows()
+        yield from public_sets.rows(data / "bench")
+        yield from faults.rows(data, seed)
 
 
 def _priors(data: Path) -> dict[str, Priors]:
@@ -115,22 +123,6 @@ def _priors(data: Path) -> dict[str, Priors]:
         return priors.without_each(data)
     except NarxcalError:
         return {}
-
-
-def _short(data: Path, seed: int) -> list[Row]:
-    return [
-        *speed.rows(),
-        *virtual_engine.rows(),
-        *public_sets.rows(data / "bench"),
-        *faults.rows(data, seed),
-    ]
-
-
-def _flights(data: Path) -> list[Row]:
-    found: list[Row] = []
-    for campaign, folder in zip(flights.CAMPAIGNS, ("flights", "agtf30"), strict=True):
-        found += flights.rows(data / folder, (campaign,))
-    return found
 
 
 def describe(found: Sequence[Row], wall_s: float) -> dict[str, Any]:

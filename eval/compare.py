@@ -140,7 +140,7 @@ def _power(open_: Sequence[Difference]) -> str:
     """Which ratio would have been found, the least sensitive of the pairs."""
     known = [one.detectable for one in open_ if not one.significant and one.detectable > 0.0]
     if not known or min(known) < _TELLING:
-        return " (too few units to tell)"
+        return " (too few units to decide)"
     return f" (1 : {1.0 / min(known):.2g} would have been found in 8 of 10)"
 
 

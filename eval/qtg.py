@@ -290,7 +290,7 @@ class Found:
             return f"the movement is {event.speed}"
         how = rules.manoeuvres[event.label]
         if _condition_met(self.view.log, event.start, how) is False:
-            return f"flown elsewhere than {how.number} asks for ({how.condition})"
+            return f"flown elsewhere than {how.number} requires ({how.condition})"
         if result_of(self.one, deciding) is None:
             reasons = [e.verdict.reason for e in self.one.assessments if e.channel in deciding]
             return reasons[0] or "" if reasons else "no deciding channel is recorded"
@@ -421,7 +421,7 @@ def evaluate_events(
 def _elsewhere(
     part: LogEvaluation, bundle: Bundle, settings: TransientsConfig
 ) -> tuple[AssessedEvent, ...]:
-    """Events on the ground, which `evaluate` leaves out and paragraph 1.f.2 asks for."""
+    """Events on the ground, which `evaluate` leaves out and paragraph 1.f.2 requires."""
     events = run_config(bundle)[0].events
     if events.condition not in (AUTO, "WOW") or "WOW" not in part.log.channels:
         return ()

@@ -171,7 +171,7 @@ class TrainConfig(Section):
     `optimiser` is Levenberg-Marquardt ("lm"), the same with geodesic acceleration ("geodesic"),
     which descends further where data are plenty, or "adam". `horizons_s` are the lengths of the
     windows in seconds, 0 for whole logs, and `iterations` the steps at each. Whole logs are run
-    from `restarts` places in each: from one alone, a network may learn that start by heart.
+    from `restarts` places in each: from one alone, a network may memorise that start.
     `starts` networks are drawn from `seed` on and the best is kept. One sample in every
     `score_every_s` is scored. Training stops early after `patience` steps without a lower free-run
     error on the validation logs, where there are any. `local_trim` removes the static error from

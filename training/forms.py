@@ -3,7 +3,7 @@
 ARX is least squares on one step; the dead time is the one by which a short ARX model predicts best.
 
 The network is fitted at three decays, whole records from several places in each. From the beginning
-alone a network with noisy past outputs in its hidden layer learns that start by heart, and is
+alone a network with noisy past outputs in its hidden layer memorises that start, and is
 unstable from any other. The first decay is the one at which hidden units are drawn; the network
 goes on to the others from there, because a strong decay from the start ends at a linear model that
 a weaker one leaves slowly, if at all. The median of several draws is judged, without those that

@@ -296,7 +296,7 @@ def _at_fault(subject: _Subject, name: str, blocks: Blocks, step: Step) -> list[
     if abs(right) > limit:
         return []
     # A fault once proven, what is nearer to it than to the rest, or as far from that as no stretch
-    # of a sound log is, is no more believed.
+    # of a sound log is, is no longer used.
     wrong_level = levels[0] if abs(levels[0]) > abs(levels[1]) else levels[1]
     least = min(subject.step_limits[name].values())
     far = (blocks.r - right) * np.sign(wrong_level) > min(0.5 * abs(wrong_level - right), least)

@@ -10,8 +10,7 @@ import argparse
 import math
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from itertools import product
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +19,6 @@ from data_prep.log import Log
 from data_prep.prepare import hold_inputs, prepare
 from data_prep.reading import read_logs
 from eval.benchmarks import Bound, Row
-from eval.benchmarks.fleets import ratio_row
 from eval.evaluate import Evaluation, evaluate, evaluation_logs, run_config
 from eval.report.event_figures import summary_figure
 from eval.report.view import view_of
@@ -167,43 +165,6 @@ def _unloaded(
         squares.append(np.square(run.model - run.measured)[run.scored & ~loaded])
         events += [one for one in log.assessments if not loaded[time_s.searchsorted(one.start_s)]]
     return np.sqrt(np.nanmean(np.concatenate(squares), axis=0)), tally(events)
-
-
-def more_flights_rows(data: Path, campaign: Campaign = CAMPAIGNS[0]) -> Iterator[Row]:
-    """Each half of each flight, by models of the other half, of the other flight, and of both.
-
-    Unlogged loads are left out of what is judged.
-    """
-    config, base = load_config(campaign.config)
-    config = config.with_logs_in(data)
-    try:
-        files = configured_files(config, base)
-    except DataError as error:
-        yield Row(campaign.name, "all", math.nan, "", note=f"not measured: {error}")
-        return
-    logs = [one.log for one in prepare(read_logs(files, config.logs), config)]
-    found: dict[str, list[tuple[FloatArray, Tally]]] = {"both": [], "one": [], "the other": []}
-    for file, half in product(dict.fromkeys(log.source.file for log in logs), (0, 1)):
-        own = [log for log in logs if log.source.file == file]
-        test, rest = ([_half(log, k) for log in own] for k in (half, 1 - half))
-        others = [log for log in logs if log.source.file != file]
-        for name, train in zip(found, ([*rest, *others], rest, others), strict=True):
-            judged = evaluate(_calibrated(config, base, train), test)
-            found[name].append(_unloaded(judged, _windows(campaign, test)))
-    group = f"{campaign.name}, halves of flights by the other half (one), the other flight, both"
-    both, *single = ([rmse[None] for rmse, _ in each] for each in found.values())
-    for name, alone in zip(tuple(found)[1:], single, strict=True):
-        yield ratio_row(group, f"error of both over {name}", list(zip(both, alone, strict=True)))
-    for name, each in found.items():
-        passed, assessed = (sum(getattr(k, n) for _, k in each) for n in ("passed", "assessed"))
-        note = f"{passed} of {assessed} assessed"
-        yield Row(group, f"Ti and Tt, {name}", 100.0 * passed / assessed, "%", note=note)
-
-
-def _half(log: Log, number: int) -> Log:
-    middle = len(log) // 2
-    part = log.part(0, middle) if number == 0 else log.part(middle, len(log))
-    return replace(part, name=f"{log.name}[{number}]")
 
 
 def _errors(

@@ -4,7 +4,7 @@ Each recording of a set is trained on by itself (with `leave_out`, all others ar
 trained on is judged. A figure is the free-run RMSE of one output, pooled over the judged logs, over
 that of the best of steady state, first-order lag, linear ARX and output error. A figure is lost
 where nothing is left to judge it by. Screening is judged by the samples that it masks and the logs
-that it accuses, though nothing is wrong with them (`KNOWN` says where something is).
+with a finding, though nothing is wrong with them (`KNOWN` says where something is).
 
 The configurations in `columns/` name columns, outputs and inputs, and nothing about the model.
 """
@@ -100,7 +100,7 @@ def _cut(path: Path) -> list[Log]:
 
 @dataclass(frozen=True)
 class Screened:
-    """What screening made of one sound log: hours, samples, those masked, and accusations.
+    """What screening made of one sound log: hours, samples, those masked, and findings.
 
     `found` is whether a known fault of the log was masked to within 5 s; None where there is none.
     """
@@ -109,7 +109,7 @@ class Screened:
     hours: float
     samples: int
     masked: int
-    accused: tuple[str, ...]
+    findings: tuple[str, ...]
     found: bool | None = None
 
 
@@ -137,7 +137,7 @@ class Figure:
 def screening(
     recorder: Recorder, train: Sequence[Log], judged: Sequence[Log], priors: Priors = PRIORS
 ) -> list[Screened]:
-    """What is masked and accused in the logs of one division, without any training."""
+    """What is masked and found in the logs of one division, without any training."""
     config = recorder.config
     raw = [one.log for one in prepare(train, config)]
     names = (*config.narx.outputs, *config.steady_state.inputs)
@@ -154,7 +154,7 @@ def _screened(log: Log, names: Sequence[str]) -> Screened:
         for name in names
         if name in log.channels
     }
-    accused = log.findings
+    findings = log.findings
     known, found = KNOWN.get(log.name.partition("#")[0]), None
     if known is not None and log.time_s[0] < known[2]:
         name, from_s, to_s = known
@@ -163,11 +163,11 @@ def _screened(log: Log, names: Sequence[str]) -> Screened:
         error = max(abs(ends[0] - max(from_s, log.time_s[0])), abs(ends[1] - to_s))
         found = bool(error <= _SLACK_S)
         lost[name] &= (log.time_s > to_s + _SLACK_S) | (log.time_s < from_s - _SLACK_S)
-        accused = tuple(each for each in accused if not _is(each, known))
+        findings = tuple(each for each in findings if not _is(each, known))
     samples = sum(int(np.isfinite(before[name]).sum()) for name in lost)
     count = sum(int(each.sum()) for each in lost.values())
     hours = len(log) * log.dt_s / 3600.0
-    return Screened(log.name, hours, samples, count, tuple(f.caution for f in accused), found)
+    return Screened(log.name, hours, samples, count, tuple(f.caution for f in findings), found)
 
 
 def _is(one: Finding, known: tuple[str, float, float]) -> bool:
@@ -289,12 +289,14 @@ def _screening_rows(group: str, seen: Sequence[Screened]) -> Iterator[Row]:
     samples, hours = sum(one.samples for one in seen), sum(one.hours for one in seen)
     share = 100.0 * sum(one.masked for one in seen) / max(samples, 1)
     yield Row(group, "sound samples masked", share, "%", 0.1, "at most", _TARGET)
-    accused = [one for one in seen if one.accused]
-    rate = 100.0 * len(accused) / hours if hours else math.nan
-    note = f"{len(accused)} of {len(seen)} logs in {hours:.1f} h"
-    yield Row(group, "sound logs accused, per 100 h", rate, "", 1.0, "at most", _TARGET, note)
-    for text in dict.fromkeys(each for one in accused for each in one.accused):
-        yield Row(group, f"accused: {text}", math.nan, "")
+    reported = [one for one in seen if one.findings]
+    rate = 100.0 * len(reported) / hours if hours else math.nan
+    note = f"{len(reported)} of {len(seen)} logs in {hours:.1f} h"
+    yield Row(
+        group, "sound logs with a finding, per 100 h", rate, "", 1.0, "at most", _TARGET, note
+    )
+    for text in dict.fromkeys(each for one in reported for each in one.findings):
+        yield Row(group, f"found: {text}", math.nan, "")
     known = [one for one in seen if one.found is not None]
     if known:
         found, note = sum(bool(one.found) for one in known), f"of {len(known)}"

@@ -1,10 +1,13 @@
 """Speed as ratios and against the clock, measured on this machine in this run.
 
-Kernels: compiled against PyTorch. The network is that of the public comparison: one input, one
-output, 30 tanh units, here with two lags. PyTorch runs eagerly on one thread, a step per call:
-`NarxNet.free_run_by_steps`. Where tsfast is installed (extra `bench`), its generated C++ kernel
+Kernels: the network is that of the public comparison: one input, one output, 30 tanh units, here
+with two lags, on one thread. Where tsfast is installed (extra `bench`), its generated C++ kernel
 runs the same network in turn with ours. Replay: CSV to CSV with the fuser on a virtual flight at
 32 Hz.
+
+`python -m eval.benchmarks.speed` prints the rates by which a choice counts its work
+(`training/search.py`): least squares on the relative error of the microseconds per accepted step of
+Levenberg-Marquardt, with all that a fit does around it. Run it on a quiet machine.
 """
 
 from __future__ import annotations
@@ -14,15 +17,17 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from importlib.util import find_spec
+from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 import torch
+from scipy.optimize import nnls
 
 from data_prep.log import Log
 from eval.benchmarks import Row
@@ -33,22 +38,26 @@ from narxcal.calibration.fuser import KalmanFuser
 from narxcal.calibration.noise import NoiseModel
 from narxcal.flight_test.fly import load_scenario, write_flights
 from narxcal.narx.config import NarxConfig
-from narxcal.narx.network import NarxModel
+from narxcal.narx.latent import Shape
+from narxcal.narx.network import NarxModel, Scaling
 from narxcal.record import Record
 from narxcal.support.arrays import FloatArray
 from training.adam import minimise
 from training.config import RunConfig, load_config
+from training.forms import drawn_networks, network_kind, network_size
 from training.free_run import FreeRunProblem, cut_windows
-from training.network import net_of, new_model
+from training.latent import Data, at_decay, fit_linear, grown
+from training.network import Material, net_of, new_model
 from training.pipeline import calibrate, prepare_logs
 from training.records import Split
+from training.search import counted
 
 _KERNEL_GROUP, _PEER = "speed", "tsfast 0.5, C++ kernel in float32"
 _NETWORK = NarxConfig(lags=2, taps=(0, 1), hidden=30)
 
 
 def rows() -> list[Row]:
-    """Kernels against PyTorch, replay against the clock, preparation by processor time."""
+    """Kernels, replay against the clock, preparation by processor time."""
     return [*kernel_rows(), *replay_rows(), *preparation_rows()]
 
 
@@ -61,53 +70,22 @@ def record_of(samples: int) -> Record:
     return Record(u, y)
 
 
-def kernel_rows(samples: int = 20000, slow_samples: int = 2000) -> list[Row]:
-    """Free run and training steps; the twin runs over `slow_samples` of the same record."""
-    record, short = record_of(samples), record_of(slow_samples)
+def kernel_rows(samples: int = 20000) -> list[Row]:
+    """Free run and training steps."""
+    record = record_of(samples)
     model = new_model([record], _NETWORK, seed=0)
-    with _one_thread():
-        return [
-            *_simulation(model, record, short),
-            *_training(model, record, short),
-            *(_against_tsfast(model, record) if find_spec("tsfast") else ()),
-        ]
-
-
-def _simulation(model: NarxModel, record: Record, short: Record) -> list[Row]:
-    fast = _seconds(lambda: model.simulate(record.u, record.y[:1])) / len(record)
-    start = torch.from_numpy(model.output_scaling.down(short.y[:1]))[None]
-    u = torch.from_numpy(model.input_scaling.down(short.u))[None]
-
-    def twin() -> None:
-        with torch.no_grad():
-            net_of(model).free_run_by_steps(start, u)
-
-    slow = _seconds(twin, repeats=1) / len(short)
-    note = "2 lags, 30 tanh units, one thread"
-    return [
-        Row(_KERNEL_GROUP, "free run, kernel", 1e6 * fast, "us/sample", note=note),
-        Row(_KERNEL_GROUP, "free run, eager PyTorch twin", 1e6 * slow, "us/sample", note=note),
-        Row(_KERNEL_GROUP, "free run, twin over kernel", slow / fast, "x", note="same run"),
-    ]
-
-
-def _training(model: NarxModel, record: Record, short: Record) -> list[Row]:
     theta = net_of(model).get_theta()
-    full = FreeRunProblem(net_of(model), cut_windows(model, [record], 100))
-    adam = _seconds(lambda: full.gradient(theta)) / len(record)
-    lm = _seconds(lambda: full.normal_equations(theta)) / len(record)
-    net_of(model).set_theta(theta)
-    slow = _seconds(lambda: autograd_loss(model, short, 100), repeats=1) / len(short)
-    note = "windows of 100 samples; loss and derivatives of one step"
-    return [
-        Row(_KERNEL_GROUP, "gradient (Adam), kernel", 1e6 * adam, "us/sample", note=note),
-        Row(_KERNEL_GROUP, "J'J and gradient (LM), kernel", 1e6 * lm, "us/sample", note=note),
-        Row(_KERNEL_GROUP, "gradient, autograd", 1e6 * slow, "us/sample", note=note),
-        Row(_KERNEL_GROUP, "Adam step, autograd over kernel", slow / adam, "x", note="same run"),
-        Row(
-            _KERNEL_GROUP, "LM step, autograd gradient over kernel", slow / lm, "x", note="same run"
-        ),
-    ]
+    problem = FreeRunProblem(net_of(model), cut_windows(model, [record], 100))
+    parts: tuple[tuple[str, Callable[[], object]], ...] = (
+        ("free run, kernel", lambda: model.simulate(record.u, record.y[:1])),
+        ("gradient (Adam), kernel", lambda: problem.gradient(theta)),
+        ("J'J and gradient (LM), kernel", lambda: problem.normal_equations(theta)),
+    )
+    note = "2 lags, 30 tanh units, one thread; derivatives over windows of 100 samples"
+    with _one_thread():
+        took = [(what, 1e6 * _seconds(work) / samples) for what, work in parts]
+        rows = [Row(_KERNEL_GROUP, what, us, "us/sample", note=note) for what, us in took]
+        return rows + (_against_tsfast(model, record) if find_spec("tsfast") else [])
 
 
 def _against_tsfast(model: NarxModel, record: Record) -> list[Row]:
@@ -148,21 +126,6 @@ def _in_turn(one: Callable[[], object], other: Callable[[], object]) -> tuple[fl
     """Least seconds of each, run alternately, so that what else the machine does hits both."""
     took = [(_seconds(one, 1), _seconds(other, 1)) for _ in range(12)][2:]
     return min(a for a, _ in took), min(b for _, b in took)
-
-
-def autograd_loss(model: NarxModel, record: Record, horizon: int) -> float:
-    """Free-run loss over windows one after the other, and its gradient by autograd."""
-    u, y = model.input_scaling.down(record.u), model.output_scaling.down(record.y)
-    net_of(model).zero_grad()
-    total = 0.0
-    for first in range(1, len(y) - 1, horizon):
-        part = slice(first - 1, min(first + horizon, len(y)))
-        drive, target = torch.from_numpy(u[part])[None], torch.from_numpy(y[part])[None]
-        run = net_of(model).free_run_by_steps(target[:, :1], drive)
-        loss = 0.5 * ((run - target) ** 2).sum() / (len(y) - 1)
-        torch.autograd.backward(loss)
-        total += float(loss.detach())
-    return total
 
 
 def _seconds(work: Callable[[], object], repeats: int = 5) -> float:
@@ -301,3 +264,63 @@ def step_seconds(bundle: Bundle, log: Log, steps: int) -> tuple[FloatArray, Floa
         busy.append(time.thread_time() - began[1])
         wall.append(time.perf_counter() - began[0])
     return np.array(wall), np.array(busy)
+
+
+_SIZES = tuple(product((500, 4000), (1, 9)))  # samples; one in so many rows is scored
+_LATENT = (
+    (1, 1, 1, 0), (2, 1, 1, 0), (4, 1, 1, 0), (8, 1, 1, 0), (4, 3, 3, 0), (1, 1, 1, 8),
+    (2, 1, 1, 4), (2, 1, 1, 16), (3, 2, 2, 8), (4, 1, 1, 8), (6, 1, 1, 8), (8, 1, 1, 16),
+    (3, 4, 3, 8), (6, 4, 3, 8),
+)  # states, inputs, outputs, hidden units # fmt: skip
+_NETWORKS = ((1, 1), (1, 2), (2, 2), (4, 1), (4, 3))  # inputs, outputs
+
+StepCost = tuple[tuple[float, ...], float]  # what is counted in a step, and its microseconds
+
+
+def _drawn(samples: int, inputs: int, outputs: int) -> Record:
+    draw = np.random.default_rng(samples + inputs)
+    u = np.repeat(draw.standard_normal((samples // 10 + 1, inputs)), 10, axis=0)[:samples]
+    y = np.zeros((samples, outputs))
+    pull = np.tanh(u @ draw.standard_normal((inputs, outputs)))
+    for k in range(1, samples):
+        y[k] = 0.9 * y[k - 1] + 0.1 * pull[k - 1] - 0.02 * y[k - 1] * np.abs(y[k - 1])
+    return Record(u, y + 0.02 * draw.standard_normal(y.shape), "drawn")
+
+
+def _latent() -> Iterator[StepCost]:
+    for (n, m, p, h), (samples, every) in product(_LATENT, _SIZES):
+        record = _drawn(samples, m, p)
+        data = Data.of([record], (0,) * m, (Scaling.of(record.u), Scaling.of(record.y)), every)
+        base = fit_linear(data, Shape(n, m, p, 0, (0,) * m))
+        if base is None:
+            continue
+        start = grown(base, h, seed=0) if h else base
+        at_decay(start, data, 1e-4, 1)
+        began = time.process_time()
+        used = sum(at_decay(start, data, decay, 6)[2] for decay in (1e-3, 1e-5, 1e-7))
+        spent = time.process_time() - began
+        rows = float(sum(np.count_nonzero(root) for root in data.roots))
+        if used:
+            yield counted(samples, rows, start.shape.size, (h, n)), 1e6 * spent / used
+
+
+def _networks() -> Iterator[StepCost]:
+    for (m, p), (samples, every) in product(_NETWORKS, _SIZES):
+        learned = Material([_drawn(samples, m, p)], (), 1.0)
+        began = time.process_time()
+        steps = drawn_networks(learned, (1e-5, 1e-7), 0, every)[1]
+        spent = time.process_time() - began
+        rows = samples * p / every
+        yield counted(samples, rows, network_size(m, p), network_kind(p)), 1e6 * spent / steps
+
+
+def rates(rows: Sequence[StepCost]) -> FloatArray:
+    """Rates >= 0 by least squares on relative errors."""
+    matrix = np.array([count for count, _ in rows]) / np.array([cost for _, cost in rows])[:, None]
+    return np.asarray(nnls(matrix, np.ones(len(matrix)))[0])
+
+
+if __name__ == "__main__":
+    for name, measured in (("LATENT_STEP", _latent()), ("NETWORK_STEP", _networks())):
+        found = ", ".join(f"{rate:.2g}" for rate in rates(list(measured)))
+        sys.stdout.write(f"{name} = Rates({found})\n")

@@ -107,7 +107,7 @@ class FoundEffects:
         inside = [name for name, way in self.ways(again=again).items() if way == EMULATED]
         if inside and self.emulator is None:
             raise ConfigError(
-                f"effect '{inside[0]}' needs the emulator, which is not beside gap.json",
+                f"effect '{inside[0]}' needs the emulator, which is not next to gap.json",
                 hint=f"Keep the whole folder that narxcal diagnose wrote, with {EMULATOR}/ in it",
             )
 

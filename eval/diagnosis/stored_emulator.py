@@ -25,7 +25,7 @@ from training.diagnosis.emulator import GreyBoxEmulator
 from training.diagnosis.settled import SettledModel
 
 SCHEMA = "narxcal.emulator/3"
-EMULATOR = "emulator"  # folder beside gap.json
+EMULATOR = "emulator"  # folder next to gap.json
 DOCUMENT, WEIGHTS = "emulator.json", "weights.safetensors"
 _AGAIN = "Diagnose again, or copy the folder again"
 

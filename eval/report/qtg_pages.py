@@ -296,7 +296,7 @@ def _revisions(guide: Guide) -> Page:
 
 
 def _condition(test: Test) -> str:
-    return {True: "as asked", False: "NOT MET", None: "to confirm"}[test.condition_met]
+    return {True: "as required", False: "NOT MET", None: "to confirm"}[test.condition_met]
 
 
 # --- one sheet ---
@@ -347,7 +347,7 @@ def _facts(guide: Guide, test: Test) -> list[tuple[str, str]]:
     """Say what a test sheet has to, in the order of 14 CFR Part 60 App. A section 11."""
     view, event, how, reading = test.view, test.one.event, test.manoeuvre, guide.settings
     log, rows, moving = view.log, view.rows(event), ("accelerates", "decelerates")[event.label]
-    met = {True: "as asked for", False: "NOT as asked for", None: "to be confirmed by the engineer"}
+    met = {True: "as required", False: "NOT as required", None: "to be confirmed by the engineer"}
     lever = [unit_value(view.driver, each) for each in (event.lever_before, event.lever_after)]
     engine = f", engine {log.source.engine}" if log.source.engine else ""
     span = f"{log.time_s[rows.start]:.2f} to {log.time_s[rows.stop - 1]:.2f} s of its time"

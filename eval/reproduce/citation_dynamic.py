@@ -41,7 +41,8 @@ from narxcal.turbofan import VirtualEngine
 from training.subspace import SubspaceSettings, subspace
 from training.transfer_fit import ResponseKind, fit_response, rise_times_agree, system_of
 
-_NUMBERS: dict[Kind, tuple[int, int]] = {"step": (16, 17), "impulse": (18, 19), "ramp": (20, 21)}
+# Numbers of the paper's figures of success and mean error.
+FIGURES: dict[Kind, tuple[int, int]] = {"step": (16, 17), "impulse": (18, 19), "ramp": (20, 21)}
 _SHOWN_S = {"impulse": 4.0, "ramp": 60.0}  # an impulse is over soon
 _MOST_PCT = 1e4  # a diverged model is drawn up to here
 
@@ -55,7 +56,7 @@ def dynamic_pictures(rows: Sequence[DynamicRow], studies: Sequence[DynamicStudy]
     for number, kind in ((13, "impulse"), (14, "ramp")):
         if kind in shown:
             found.append(_disturbed(number, kind, shown[kind]))
-    for kind, (success, error) in _NUMBERS.items():
+    for kind, (success, error) in FIGURES.items():
         own = [row for row in rows if row.kind == kind and np.isfinite(row.success_pct)]
         if own:
             found += [
@@ -63,10 +64,6 @@ def dynamic_pictures(rows: Sequence[DynamicRow], studies: Sequence[DynamicStudy]
                 _bars(error, kind, own, "mean_pct"),
             ]
     return found
-
-
-def _time(values: FloatArray) -> FloatArray:
-    return T_S * np.arange(len(values), dtype=np.float64)
 
 
 def _ratios(flight: Scaled) -> dict[str, FloatArray]:
@@ -77,7 +74,7 @@ def _ratios(flight: Scaled) -> dict[str, FloatArray]:
 
 def _lines(axes: Axes, curves: dict[str, FloatArray], label: str) -> None:
     for colour, (name, values) in zip(style.CYCLE, curves.items(), strict=False):
-        style.curve(axes, _time(values), values, colour, lw=1.2, label=symbol(name))
+        style.curve(axes, _times(len(values)), values, colour, lw=1.2, label=symbol(name))
     axes.set(xlabel="time from the onset [s]", ylabel=label)
     style.dress(axes)
     style.legend(axes, columns=5)
@@ -100,8 +97,8 @@ def _rise(flight: Scaled) -> Picture:
     y = flight.y[:, OUTPUTS.index("FN_kN")]
     drawn = style.figure(6.4, 2.6)
     axes = drawn.subplots()
-    style.curve(axes, _time(y), y, style.MODEL, lw=1.4)
-    for level, at in zip((0.1, 0.9), rise_times(_time(y), y), strict=True):
+    style.curve(axes, _times(len(y)), y, style.MODEL, lw=1.4)
+    for level, at in zip((0.1, 0.9), rise_times(_times(len(y)), y), strict=True):
         axes.plot([0.0, at, at], [level, level, 0.0], color=style.BAD, lw=0.9, ls=":")
         axes.annotate(f"t{100 * level:.0f} = {at:.2f} s", (at, level), size=8, va="top")
     axes.set(xlabel="time from the onset [s]", ylabel="scaled thrust ratio [-]")
@@ -160,7 +157,6 @@ def _bars(number: int, kind: Kind, rows: Sequence[DynamicRow], what: str) -> Pic
 
 
 BLOCK_ROWS = 10
-_QUIET = np.zeros(2 * BLOCK_ROWS)
 GROUPS: Mapping[str, tuple[tuple[str, ...], ...]] = {
     "1/O": tuple((name,) for name in OUTPUTS),
     "2/O": (("FPR", "EPR"), ("FN_kN", "FF_kgph"), ("EGT_C",)),
@@ -400,8 +396,8 @@ def _black_box(outputs: str, order: int, form: Form) -> Candidate:
 
 def _black_fit(order: int, form: Form, y: FloatArray) -> FloatArray:
     """Subspace fit to a unit step after 2 s quiet samples; the sizes follow the coordinates."""
-    quiet = np.zeros((len(_QUIET), y.shape[1]))
-    u = np.concatenate([_QUIET, np.ones(len(y))])[:, np.newaxis]
+    quiet = np.zeros((2 * BLOCK_ROWS, y.shape[1]))
+    u = np.concatenate([quiet[:, :1], np.ones((len(y), 1))])
     settings = SubspaceSettings(dt_s=T_S, polish=False)
     fitted = subspace([(u, np.concatenate([quiet, y]))], order, BLOCK_ROWS, settings)
     return np.concatenate([coordinates(fitted.model, form), [y.shape[1]]])

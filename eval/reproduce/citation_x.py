@@ -15,6 +15,7 @@ import numpy as np
 
 from eval.report.tables import Table
 from eval.reproduce.citation_dynamic import (
+    FIGURES,
     GROUPS,
     STATIC,
     DynamicRow,
@@ -277,7 +278,6 @@ CONTRADICTIONS = (
     ),
     "The conclusion takes the exception of C4 from Table 10, which is ITT: Table 11 is meant.",
 )
-_FIGURES = {"step": (16, 17), "impulse": (18, 19), "ramp": (20, 21)}
 
 
 def reproduce(
@@ -405,7 +405,7 @@ def _responses(rows: Sequence[DynamicRow], kind: Kind) -> Table:
         )
         for model in dict.fromkeys(model for model, _ in own)
     ]
-    first, second = _FIGURES[kind]
+    first, second = FIGURES[kind]
     return table_of(f"Figures {first} and {second}: responses to a {kind}", head, lines)
 
 

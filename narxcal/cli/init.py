@@ -46,7 +46,7 @@ def add_options(parser: ArgumentParser) -> None:
     """Add what the command takes to `parser`."""
     parser.add_argument("logs", metavar="LOG", type=path, nargs="+", help="logs of one recorder")
     parser.add_argument(
-        "--out", metavar="FILE.toml", type=path, required=True, help="and FILE.png beside it"
+        "--out", metavar="FILE.toml", type=path, required=True, help="and FILE.png next to it"
     )
     add_overwrite(parser)
 

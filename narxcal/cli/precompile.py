@@ -1,6 +1,6 @@
 """Compile what commands run ahead of their first use: `python -m narxcal.cli.precompile`.
 
-Numba compiles a function when it is first called and caches the code beside its source, or, where
+Numba compiles a function when it is first called and caches the code next to its source, or, where
 that is read-only, in the user's cache folder (`NUMBA_CACHE_DIR` names another). Here commands run
 on the smallest inputs that call every kernel of theirs, in processes side by side: these functions
 are compiled in half of the time that the commands would take one after the other.

@@ -41,7 +41,7 @@ def add_options(parser: ArgumentParser) -> None:
         help="of the validation data; default: that of the run",
     )
     parser.add_argument(
-        "--out", metavar="FILE.pdf", type=path, required=True, help="and FILE.json beside it"
+        "--out", metavar="FILE.pdf", type=path, required=True, help="and FILE.json next to it"
     )
     parser.add_argument(
         "--tests", metavar="FILE", type=path, help=".toml or .csv: tests, titles, rationales"

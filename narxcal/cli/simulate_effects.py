@@ -1,7 +1,7 @@
 """`narxcal simulate --sim ... --effects ...`: the simulator with the effects that were found.
 
 OUT gets one canonical CSV for each log of inputs, so that anybody can check how far the gap falls.
-A simulator that can be run again is told inputs with the effects on them; the document and the
+A simulator that can be run again is given inputs with the effects on them; the document and the
 terminal say of each effect how it was applied.
 """
 

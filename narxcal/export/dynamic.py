@@ -47,7 +47,7 @@ class Exportable:
             known = tuple(getattr(model.steady, "engines", ()))
             if engine not in known:
                 raise ConfigError(
-                    f"the run tells no engine '{engine}' apart",
+                    f"the run has no model of an engine '{engine}'",
                     hint=f"Engines are {', '.join(known)}" if known else "Leave --engine out",
                 )
             model = model.for_engine(engine)

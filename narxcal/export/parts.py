@@ -67,7 +67,7 @@ def steady_struct(steady: SteadyStateModel) -> tuple[Struct, tuple[str, ...]]:
     Raises `ModelError` for a model that is neither a gridded table nor fitted.
     """
     if isinstance(steady, FittedSteadyState):
-        # A model of one engine was asked for as such; else all are in the file.
+        # A model of one engine was wanted as such; else all are in the file.
         chosen = steady.engine in steady.engines
         return _fitted(steady), (steady.engine, *(() if chosen else steady.engines))
     if isinstance(steady, GriddedModel):
@@ -201,7 +201,7 @@ def _narx(model: DynamicCalibration, weights: FloatArray) -> Part:
 def _lags(lag: LumpedEngine, model: DynamicCalibration) -> Struct:
     if lag.explicit:
         raise ModelError(
-            "the governed lags are those of an older version, which may hunt",
+            "the governed lags are those of an older version, which may oscillate",
             hint="Train the run again",
         )
     engine, slow = lag.compiled(), lag.start(np.ones(len(lag.output_names)))[rotors.CASING]

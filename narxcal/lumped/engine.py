@@ -77,7 +77,7 @@ class LumpedEngine:
     | `theta` (P,) | parameters; `arrays` are views of them by stored name |
     | `centre`, `half` (n_out,) | scale the corrected outputs to [-1, 1] |
     | `limit` (n_out,) | bounds the magnitude of each deviation |
-    | `explicit` | whether a governed engine takes the steps of older folders, which may hunt |
+    | `explicit` | whether a governed engine takes the steps of older folders, which may oscillate |
 
     The core is the last output that is a speed, or the first output of an engine without one.
     """

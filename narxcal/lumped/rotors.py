@@ -66,7 +66,7 @@ every gain. A step is backward Euler's, which maps a pole p to 1 / (1 - h p): in
 for any h. Other outputs and heat follow the loop and are lags of their own.
 
 In folders of older versions lead = lead_s, reset = reset_s, c_f is free and the steps are explicit
-(`Engine.explicit`): such a loop may hunt. They run as they did.
+(`Engine.explicit`): such a loop may oscillate. They run as they did.
 
 All functions are for floats and for dual numbers (`narxcal.support.dual`).
 """

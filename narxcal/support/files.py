@@ -1,6 +1,6 @@
 """Output files and folders: written whole or not at all, and never over what is not narxcal's.
 
-A file or folder is written under a temporary name beside its target, flushed to the disk, and then
+A file or folder is written under a temporary name next to its target, flushed to the disk, and then
 takes the target's name in one step, so that a full disk or a killed process leaves the former
 content or the new one. Temporaries are called `.NAME.PID-TOKEN.part`; where the system cannot
 exchange two folders in one step, the former one waits as `.NAME.PID-TOKEN.old`. `recover` puts
@@ -139,7 +139,7 @@ def atomic_folder(path: str | PathLike[str], replaced: Results | None = None) ->
 
 
 def recover(path: str | PathLike[str]) -> None:
-    """Put right what killed processes of this machine left beside `path`.
+    """Put right what killed processes of this machine left next to `path`.
 
     A former folder is put back where its successor never took the name; else leftovers are deleted.
     """

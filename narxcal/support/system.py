@@ -127,8 +127,8 @@ def is_abandoned(path: Path, pid: int) -> bool:
 def locked(target: Path) -> Iterator[None]:
     """Keep other processes that lock it from writing to `target` while the block runs.
 
-    The lock is a file beside the target, `.NAME.lock`, that names process and machine; where its
-    folder does not exist, beside the first one above that does not either.
+    The lock is a file next to the target, `.NAME.lock`, that names process and machine; where its
+    folder does not exist, next to the first one above that does not either.
 
     Raises `ConfigError` if another process has it, and `OSError` if it cannot be written.
     """

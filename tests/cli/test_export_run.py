@@ -89,7 +89,7 @@ def test_a_folder_with_content_and_an_unknown_engine_are_refused(narxcal, run, t
     assert (done.code, done.out, done.err) == (
         2,
         "",
-        "narxcal: error: the run tells no engine 'port' apart. Leave --engine out\n",
+        "narxcal: error: the run has no model of an engine 'port'. Leave --engine out\n",
     )
     assert not (tmp_path / "d").exists()
 

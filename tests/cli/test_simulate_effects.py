@@ -75,7 +75,7 @@ def test_logs_need_the_emulator_for_an_effect_on_inputs(here, narxcal):
     words = ("--sim", "sim", "--effects", "gap.json", "--inputs", "inputs", "--out", "out")
     done = narxcal("simulate", *words)
     assert done.code == 2
-    assert "effect 'throttle_bias' needs the emulator, which is not beside gap.json" in done.err
+    assert "effect 'throttle_bias' needs the emulator, which is not next to gap.json" in done.err
     assert "Keep the whole folder that narxcal diagnose wrote, with emulator/ in it" in done.err
     assert not (here / "out").exists()
 

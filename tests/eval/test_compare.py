@@ -104,7 +104,7 @@ def test_a_short_log_of_slow_errors_gives_no_claim_and_says_so():
     one.outputs["drifts"] = one.measured + np.linspace(-9.0, 9.0, 200)[:, None]
     found = compare([one], rows("good", "drifts"))
     assert found.significant == ()
-    assert "too few units to tell" in found.summary()[0]
+    assert "too few units to decide" in found.summary()[0]
 
 
 def test_no_common_row_is_an_error():

@@ -156,7 +156,7 @@ def test_an_event_flown_elsewhere_than_its_paragraph_asks_is_no_test(events, wow
     assert met == {label: ok for label, ok in enumerate((push, pull)) if ok is not False}
     reasons = {why for one, why in guide.left_out if one.one.event.speed == "fast"}
     assert len(reasons) == (push is False) + (pull is False)
-    assert all("asks for" in why for why in reasons)
+    assert all("requires" in why for why in reasons)
 
 
 def test_the_same_guide_has_the_same_bytes_in_any_process(events):

@@ -7,7 +7,6 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
-import torch
 
 from data_prep.events import Event
 from eval import bench
@@ -15,12 +14,10 @@ from eval.benchmarks import Row, public_sets, speed
 from eval.benchmarks import flights as picture
 from eval.rules import Verdict
 from eval.transients import AssessedEvent
-from narxcal.narx.config import NarxConfig
 from narxcal.support.errors import DataError
 from training.choice import Limits
 from training.config import load_config
-from training.free_run import FreeRunProblem, cut_windows
-from training.network import net_of, new_model
+from training.search import Rates, counted
 
 
 @pytest.fixture
@@ -83,26 +80,10 @@ def test_a_set_that_is_not_there_is_named(folder, tmp_path):
 
 
 @pytest.mark.slow
-def test_kernel_rows_are_finite_and_ratios_fit_their_parts():
-    rows = {row.name: row for row in speed.kernel_rows(400, 120)}
-    assert all(math.isfinite(row.value) and row.value > 0.0 for row in rows.values())
-    parts = rows["free run, eager PyTorch twin"].value / rows["free run, kernel"].value
-    assert rows["free run, twin over kernel"].value == pytest.approx(parts)
-
-
-def test_the_slow_training_step_has_the_loss_and_gradient_of_the_fast_one():
-    record = speed.record_of(301)
-    model = new_model([record], NarxConfig(lags=1, taps=(0,), hidden=4), seed=0)
-    with torch.no_grad():
-        net_of(model).linear.weight.fill_(0.3)
-        net_of(model).output.weight.fill_(0.1)
-    problem = FreeRunProblem(net_of(model), cut_windows(model, [record], 100))
-    loss, gradient = problem.gradient(net_of(model).get_theta())
-    assert speed.autograd_loss(model, record, 100) == pytest.approx(loss)
-    named = dict(net_of(model).named_parameters())
-    order = ("hidden.weight", "hidden.bias", "output.weight", "output.bias", "linear.weight")
-    slow = np.concatenate([named[name].grad.numpy().ravel() for name in order])
-    np.testing.assert_allclose(slow, gradient, atol=1e-9)
+def test_kernel_rows_are_finite():
+    rows = speed.kernel_rows(400)
+    assert len(rows) >= 3
+    assert all(math.isfinite(row.value) and row.value > 0.0 for row in rows)
 
 
 @pytest.mark.slow
@@ -159,3 +140,16 @@ def test_the_picture_is_of_the_largest_assessed_push_even_a_failed_one():
 def test_a_log_without_such_a_push_has_no_picture():
     with pytest.raises(DataError, match=r"^no fast push could be assessed in every channel$"):
         picture.largest_push([moved(label=1)])
+
+
+def test_rates_are_recovered_and_their_costs_hold():
+    true = Rates(200.0, 0.2, 0.03, 1e-3, 2e-5, 3e-5)
+    draw = np.random.default_rng(0)
+    sizes = [
+        (samples, samples / every, size, kind)
+        for samples in (500, 4000)
+        for every in (1, 9)
+        for size, kind in ((14, (0, 2)), (90, (0, 8)), (105, (8, 3)), (420, (16, 8)))
+    ]
+    rows = [(counted(*each), true.step(*each) * draw.uniform(0.99, 1.01)) for each in sizes]
+    np.testing.assert_allclose(speed.rates(rows), list(vars(true).values()), rtol=0.2)

@@ -1,4 +1,4 @@
-"""The bench of recorders: its divisions, its figures, and what counts as a false accusation."""
+"""The bench of recorders: its divisions, its figures, and what counts as a false finding."""
 
 import math
 from dataclasses import replace
@@ -67,24 +67,24 @@ def test_lost_figures_are_counted_and_left_out_of_the_mean():
     assert rows["figures lost"].value == 1.0
 
 
-def test_masked_samples_and_accused_logs_are_shares_of_all():
+def test_masked_samples_and_logs_with_findings_are_shares_of_all():
     seen = [Screened("a", 2.0, 1000, 0, ()), Screened("b", 2.0, 1000, 10, ("N1_pct stuck",))]
     rows = summary([], seen)
     assert rows["sound samples masked"].value == pytest.approx(0.5)
-    assert rows["sound logs accused, per 100 h"].value == pytest.approx(25.0)
+    assert rows["sound logs with a finding, per 100 h"].value == pytest.approx(25.0)
 
 
-def test_a_known_fault_is_no_false_accusation_and_has_to_be_masked_to_its_ends(monkeypatch):
+def test_a_known_fault_is_no_false_finding_and_has_to_be_masked_to_its_ends(monkeypatch):
     sound = log("bad", "left")
     monkeypatch.setattr(recorders, "KNOWN", {"bad:left": ("FF_kgph", 0.0, 30.0)})
     fault = Finding("scale", "FF_kgph", 0.0, 31.0, 50.0, "%", 0.999, "+50 %", log=sound.name)
     names = ("FF_kgph", "N1_pct")
     right = recorders._screened(replace(sound, findings=(fault,)), names)
-    assert (right.found, right.masked, right.accused) == (True, 0, ())
+    assert (right.found, right.masked, right.findings) == (True, 0, ())
     whole = recorders._screened(replace(sound, findings=(replace(fault, end_s=60.0),)), names)
     assert whole.found is False
     assert whole.masked == 249  # from 35.1 s on
-    assert len(whole.accused) == 1
+    assert len(whole.findings) == 1
     assert recorders._screened(sound, names).found is False
 
 

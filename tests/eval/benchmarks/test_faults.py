@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from data_prep.log import Log
-from eval.benchmarks.fault_draws import drawn, sensor
+from eval.benchmarks.faults import drawn, sensor
 
 TIME_S = 0.2 * np.arange(3000)
 WAVE = np.sin(TIME_S / 40.0)
