@@ -242,7 +242,7 @@ class _Drafting:
         if not any(CHANNELS[name].role == "output" for name in chosen if name in CHANNELS):
             why = "; ".join(f"{name}: {text}" for name, text in self.unused.items())
             raise DataError(
-                "no column of an engine's channel can be used", file=self.table.path, hint=why
+                "no column of an engine channel can be used", file=self.table.path, hint=why
             )
         air = self._air({name: chosen[name][0] for name in _AIR if name in chosen})
         commands = chosen.pop("command", [])

@@ -90,7 +90,9 @@ def read_tests(file: Path) -> TestsFile:
     table = {"test": _rows(file)} if file.suffix == ".csv" else read_toml(file, TESTS_SCHEMA)
     found = TestsFile.parse(table, file)
     if not found.test:
-        raise ConfigError("no [[test]] is listed", file=file, hint="Write a start by --write-tests")
+        raise ConfigError(
+            "no [[test]] is listed", file=file, hint="Write a first version by --write-tests"
+        )
     return found
 
 
@@ -492,7 +494,7 @@ def _chosen(
         raise ConfigError(
             f"no event is a test{most}",
             file=file,
-            hint="Choose events by use = true in a file of tests; --write-tests writes a start",
+            hint="Choose events by use = true in a file of tests, as --write-tests writes one",
         )
     return tests, others
 

@@ -77,15 +77,6 @@ def test_the_command_works_away_from_the_checkout(installed):
         assert name in commands
 
 
-def test_shipped_configs_are_found_as_package_data(installed):
-    script = (
-        "from importlib.resources import files\n"
-        "print(*sorted(entry.name for entry in files('configs').iterdir()))"
-    )
-    names = away(installed, "-c", script).split()
-    assert {"agtf30.toml", "citation2.toml", "demo.toml", "jetcat.toml"} <= set(names)
-
-
 @pytest.mark.parametrize("name", ["agtf30.toml", "citation2.toml", "demo.toml", "jetcat.toml"])
 def test_a_shipped_config_is_found_by_its_name_and_valid(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -111,7 +102,6 @@ def test_everything_tested_is_pinned():
     lines = (ROOT / "constraints.txt").read_text("utf-8").splitlines()
     pins = [line for line in lines if line and not line.startswith("#")]
     assert all(pin.count("==") == 1 for pin in pins)
-    assert "torch==2.13.0" in pins
     pinned = {plain(pin.split("==")[0]) for pin in pins}
     assert {plain(name) for name in wanted} <= pinned
 

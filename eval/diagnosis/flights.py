@@ -328,8 +328,8 @@ def in_terms_of(data: GapData, other: GapData) -> GapData:
     mine, theirs = data.flights.signals, other.flights.signals
     if abs(theirs.dt_s / mine.dt_s - 1.0) > RATES:
         raise DataError(
-            f"the held-out flights are worked at {1 / theirs.dt_s:.4g} Hz, those of the diagnosis "
-            f"at {1 / mine.dt_s:.4g} Hz",
+            f"the held-out flights are processed at {1 / theirs.dt_s:.4g} Hz, those of the "
+            f"diagnosis at {1 / mine.dt_s:.4g} Hz",
             file=other.names[0],
             hint=_HINT,
         )

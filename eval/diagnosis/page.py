@@ -308,4 +308,4 @@ _SIMULATORS = {
 def _rate(quality: Mapping[str, Any]) -> str:
     if "rate_hz" not in quality:
         return ""
-    return f"{quality['rate_hz']:.4g} Hz, worked at {quality.get('worked_at_hz', 0.0):.4g} Hz"
+    return f"{quality['rate_hz']:.4g} Hz, processed at {quality.get('worked_at_hz', 0.0):.4g} Hz"

@@ -165,7 +165,7 @@ class Fuser(ABC):
         """Fuse further samples of the record, as by `step`."""
         self._check(predictions, measurements)
         if not self._started:
-            raise ModelError("the fuser has no past", hint="Call reset with the first sample")
+            raise ModelError("the fuser was not started", hint="Call reset with the first sample")
         return self._counted(self._fuse(predictions, measurements, fresh=False))
 
     @abstractmethod

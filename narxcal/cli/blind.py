@@ -83,7 +83,7 @@ def _add_make(parser: ArgumentParser) -> None:
         "--engine",
         choices=("virtual", "lumped", "all"),
         default="all",
-        help="engines of components, lumped ones, or all: every third case lumped (default)",
+        help="component-level engines, lumped ones, or all: every third case lumped (default)",
     )
     parser.add_argument(
         "--build",
@@ -179,7 +179,7 @@ def _make(options: Namespace, console: Console) -> None:
             document = make_cases(folder, plan, secret, options.jobs, advance)
     console.say(f"Cases: {options.out}. Sealed key: {options.out / KEY}")
     if options.secret is None:
-        console.say("The secret is the seed: keep it from whoever answers.")
+        console.say("The secret is the seed: do not show it to whoever runs the cases.")
     console.document({**document, "out": str(options.out)})
 
 

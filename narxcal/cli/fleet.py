@@ -23,7 +23,7 @@ def add_options(parser: ArgumentParser) -> None:
         metavar="FLEET",
         type=address,
         required=True,
-        help="folder or fsspec address of the dataset; what is there is gone on with",
+        help="folder or fsspec address of the dataset; an existing one is continued",
     )
     add_jobs(parser, "batches of logs")
     add_trust(parser)

@@ -129,14 +129,14 @@ def _show(console: Console, document: Mapping[str, Any], out: Path) -> None:
     for row in document["logs"]:
         for channel, count in row["blank"].items():
             console.warn(
-                f"{row['log']}: the simulator says nothing of {channel} in {count} of "
+                f"{row['log']}: the simulator gives no {channel} in {count} of "
                 f"{row['samples']} samples: they are left blank"
             )
     blind = [row["log"] for row in document["logs"] if row["load_known"] is False]
     if blind:
         console.warn(
             f"no channel records the load and no window of it is known in {', '.join(blind)}: it "
-            "is left off there"
+            "is not applied there"
         )
     for effect, way in document["applied"].items():
         console.say(f"{effect}: applied {way}")

@@ -44,7 +44,7 @@ CHECKPOINTS = "checkpoints"
 def add_options(parser: ArgumentParser) -> None:
     """Add what the command takes to `parser`."""
     add_config(parser, "RUN", "folder for the model")
-    parser.add_argument("--resume", action="store_true", help="go on with a training cut short")
+    parser.add_argument("--resume", action="store_true", help="continue an interrupted training")
 
 
 def run(options: Namespace, console: Console) -> int:

@@ -82,7 +82,7 @@ def in_processes(
             yield result
     except TerminatedWorkerError:
         raise ConfigError(
-            "a process ended in the middle of its work, perhaps for want of memory",
+            "a process ended in the middle of its work, perhaps because memory ran out",
             hint="Use fewer --jobs, or --workers, which goes on without it",
         ) from None
     finally:

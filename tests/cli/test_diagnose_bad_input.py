@@ -162,8 +162,9 @@ def test_held_out_flights_are_checked_before_any_work(flights, slow_probe, refus
     real.iloc[::3].to_csv(tmp_path / "late" / "f9.csv", index=False)
     sim.iloc[::3].to_csv(tmp_path / "late_sim" / "f9.csv", index=False)
     assert refused(words, *late[0], *late[1]) == (
-        "narxcal: error: f9: the held-out flights are worked at 2.667 Hz, those of the diagnosis "
-        "at 4 Hz. Record and simulate them with the channels and at the rate of the others"
+        "narxcal: error: f9: the held-out flights are processed at 2.667 Hz, those of the "
+        "diagnosis at 4 Hz. Record and simulate them with the channels and at the rate of the "
+        "others"
     )
     again = ("--heldout-real", tmp_path / "real", "--heldout-sim", tmp_path / "sim")
     assert refused(words, *again) == (

@@ -101,7 +101,7 @@ def test_samples_of_which_the_simulator_says_nothing_are_told_and_left_blank(her
     done = narxcal("simulate", *words, "--json")
     assert done.code == 0
     assert done.err == (
-        "narxcal: warning: f: the simulator says nothing of EGT_C in 70 of 200 samples: they are "
+        "narxcal: warning: f: the simulator gives no EGT_C in 70 of 200 samples: they are "
         "left blank\n"
     )
     row = json.loads(done.out)["logs"][0]

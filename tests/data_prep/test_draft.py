@@ -185,7 +185,7 @@ def test_a_channel_that_stands_still_is_not_used(tmp_path):
     path = csv(tmp_path, "time_s,N1,EGT_C", TIME_S, 0.0 * TIME_S, SPEED_PCT * 8)
     assert draft([path]).unused == {"N1": "without a value that changes"}
     path = csv(tmp_path, "time_s,N1", TIME_S, 0.0 * TIME_S)
-    with pytest.raises(DataError, match="no column of an engine's channel can be used"):
+    with pytest.raises(DataError, match="no column of an engine channel can be used"):
         draft([path])
 
 

@@ -252,7 +252,7 @@ def test_tests_are_chosen_titled_and_annotated_in_a_file(events, tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "no [[test]] is listed. Write a start by --write-tests"),
+        ("", "no [[test]] is listed. Write a first version by --write-tests"),
         (
             entry(3.0),
             "no event of the log 'flight.csv:left' begins at 3 s. The nearest begins at 19.900 s",
@@ -276,7 +276,7 @@ def test_tests_are_chosen_titled_and_annotated_in_a_file(events, tmp_path):
         (
             entry(19.9, use=False),
             ("no event is a test (2 events; not chosen). Choose events by use = true in a file of "
-            "tests; --write-tests writes a start"),
+            "tests, as --write-tests writes one"),
         ),
         (entry(19.9, colour="red"), ("unknown key 'test.0.colour'. Known keys: configuration, log, "
          "number, rationale, start_s, title, use")),

@@ -45,7 +45,7 @@ def test_what_changes_and_every_output_has_to_be_there(make_data, without, name)
 
 def test_another_rate_is_refused(make_data):
     with pytest.raises(
-        DataError, match="flights are worked at 4 Hz, those of the diagnosis at 8 Hz"
+        DataError, match="flights are processed at 4 Hz, those of the diagnosis at 8 Hz"
     ):
         in_terms_of(make_data(flights=3), make_data(flights=1, rate_hz=4.0))
 

@@ -19,13 +19,6 @@ MAKER = {
 }
 
 
-def test_the_engine_flown_is_the_one_its_maker_describes():
-    scenario = paper_scenario(5)
-    assert (scenario.seed, scenario.records, scenario.flight_count) == (5, "fast_push", 5)
-    assert scenario.build_scatter_pct == 0.0
-    assert scenario.outputs == ("N1_pct", "N2_pct", "EGT_C", "FF_kgph")
-
-
 def test_each_family_is_written_into_its_folder(monkeypatch):
     seen = {}
 

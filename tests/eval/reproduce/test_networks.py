@@ -11,8 +11,8 @@ from data_prep.events import find_events
 from eval.crossval import CrossValidation, FoldResult
 from eval.evaluate import EvaluateConfig
 from eval.reproduce.data import Effort, within
-from eval.reproduce.inputs import deviations, fed_record, fed_variants, inputs, record, variants
-from eval.reproduce.narx_paper import family_of, goal, goal_config, goal_training, thinned
+from eval.reproduce.inputs import deviations, fed_record, fed_variants, inputs, variants
+from eval.reproduce.narx_paper import family_of, goal, goal_config, goal_training
 from eval.reproduce.noise import noise, share_better
 from eval.reproduce.response import (
     accuracy,
@@ -48,13 +48,6 @@ def test_effort_replaces_the_iterations_of_every_horizon(data):
     assert within(data.config, Effort()) is data.config
     assert within(data.config, Effort((3,))).train.iterations == (3, 3)
     assert within(data.config, Effort((5, 4, 3))).train.iterations == (5, 4)
-
-
-def test_a_plain_network_learns_from_inputs_as_they_are(data):
-    log = data.split.train[0]
-    made = record(log, ("TRA_deg", "Mach"), "N1_pct")
-    assert np.array_equal(made.u, np.column_stack([log["TRA_deg"], log["Mach"]]))
-    assert np.array_equal(made.y[:, 0], log["N1_pct"])
 
 
 @pytest.mark.slow
@@ -218,13 +211,6 @@ def test_the_goal_knows_what_the_control_holds_where_there_are_two_speeds(data, 
     one = narx.model_copy(update={"outputs": ("N2_pct", "EGT_C")})
     found = goal_config(config.model_copy(update={"narx": one})).narx
     assert (found.lag_limits is True, found.lag_governed is True) == (lag, False)
-
-
-def test_every_so_many_samples_are_kept_on_their_times(data):
-    log = data.logs[0]
-    less = thinned(log, 3)
-    assert np.array_equal(less.time_s, log.time_s[::3])
-    assert np.array_equal(less["N1_pct"], log["N1_pct"][::3])
 
 
 def fold(number, **values):

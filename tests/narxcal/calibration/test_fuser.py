@@ -277,7 +277,7 @@ def test_a_step_before_the_first_reset_is_refused(kind):
     fuser = kind(noise())
     with pytest.raises(ModelError) as error:
         fuser.step(np.zeros(3), np.zeros(3))
-    assert str(error.value) == "the fuser has no past. Call reset with the first sample"
+    assert str(error.value) == "the fuser was not started. Call reset with the first sample"
 
 
 @BOTH
