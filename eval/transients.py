@@ -30,8 +30,8 @@ from narxcal.support.errors import ConfigError, DataError
 # A measured figure in a reason; reasons that differ in nothing else are counted together.
 _FIGURE = re.compile(r"-?\d+(\.\d+)?(e[+-]?\d+)?")
 
-# In the channel's unit: some thirty times the recording noise of FACTS.md A8, so that 10 % of
-# the response is well above it.
+# In the channel's unit: some thirty times the noise of recorded channels, so that 10 % of the
+# response is well above it.
 LEAST_RESPONSE = {"N1_pct": 5.0, "N2_pct": 3.0, "EGT_C": 30.0}
 
 

@@ -33,7 +33,7 @@ from training.crossval import leave_one_flight_out
 from training.pipeline import calibrate, configured_files
 from training.records import Split
 
-_SOURCE = "issue: What to reach"
+_SOURCE = "our goal"
 _PART = 0.2
 
 

@@ -151,7 +151,7 @@ def _one_thread() -> Iterator[None]:
 
 
 _GROUP = "replay"
-_SOURCE = "issue: replay with fuser"
+_SOURCE = "our goal"
 
 
 def replay_rows(duration_s: float = 1440.0, steps: int = 5000) -> list[Row]:
@@ -208,7 +208,7 @@ def preparation_rows(duration_s: float = 6000.0) -> list[Row]:
     note = f"13 channels at 10 Hz, {hours:.1f} hours, extrapolated; the start of 2 s is left out"
     busy_s = 1000.0 * (five - once) / hours
     what = "processor time of 1000 log-hours"
-    return [Row("prepare", what, busy_s, "s", 600.0, "at most", "issue: 5 min on two cores", note)]
+    return [Row("prepare", what, busy_s, "s", 600.0, "at most", _SOURCE, note)]
 
 
 _PREPARED = """schema = "narxcal.config/1"

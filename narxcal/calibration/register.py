@@ -25,7 +25,7 @@ from narxcal.narx.network import AT_START, NarxModel
 from narxcal.support.arrays import BoolArray, FloatArray, IntArray
 from narxcal.support.compiled import compiled
 
-# An EGT overshoots its final value by up to 1.6 times the change (FACTS: frozen-speed response).
+# An EGT overshoots its final value by up to 1.6 times the change (AGTF30 at frozen speeds).
 OVERSHOOT = 2.0
 
 

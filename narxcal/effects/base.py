@@ -102,7 +102,7 @@ class Signals:
         """`delta / sqrt(theta)` of the air at the intake, `(...,)`; 1 without an altitude.
 
         Forces and flows of an engine at given corrected speed go with delta, its speeds with
-        sqrt(theta): rates of its spools go with their quotient (NACA TR-1011, FACTS A2).
+        sqrt(theta): rates of its spools go with their quotient (NACA TR-1011).
         """
         if "ALT_ft" not in self.inputs:
             return np.ones(u.shape[:-1])

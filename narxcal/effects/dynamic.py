@@ -121,7 +121,7 @@ class AccelLimit(_Transit):
 class AltitudeLag(_Transit):
     """Time constants go with air density by an `exponent` more than the simulator has it.
 
-    `tau ~ (sqrt(theta) / delta)^exponent` (NACA TR-1011, FACTS A2).
+    `tau ~ (sqrt(theta) / delta)^exponent` (NACA TR-1011).
     """
 
     id: ClassVar[str] = "altitude_lag"

@@ -37,9 +37,9 @@ class SensorLag(SensorEffect):
 
     The simulator's channel may be behind a lag of its own, `own_s`, which is then replaced:
     `(1 + own s) / (1 + (own + tau) s)`. With `own_s` = 0 it is one more lag in series. A probe
-    takes 5 s at most, at idle and altitude (FACTS A3): what is slower is the metal round it. A
-    speed is counted from pulses, in a fraction of a second: where a lag of seconds is replaced by a
-    longer one, that is a rotor which follows the other more slowly, and no sensor.
+    takes some 5 s at most, at idle and altitude (unverified): what is slower is the metal round it.
+    A speed is counted from pulses, in a fraction of a second: where a lag of seconds is replaced by
+    a longer one, that is a rotor which follows the other more slowly, and no sensor.
     """
 
     id: ClassVar[str] = "sensor_lag"

@@ -217,8 +217,8 @@ class HeatSoak(OffsetEffect, PacedEffect):
     """Temperature (and N2) trail power by a slow share: metal still cold, clearances still open.
 
     The shape is the temperature behind a lag of `rise_s` less that behind one of `tau_s`: 30 to
-    300 s for discs and casing (FACTS A4), a third of that for blades and thin walls, which is where
-    the lags of probes end. Blades and discs grow before the casing does: the share may take some
+    300 s for discs and casing (unverified), a third of that for blades and thin walls, where the
+    lags of probes end. Blades and discs grow before the casing does: the share may take some
     time to come, and takes longer to go.
 
     What metal takes from the gas the turbines lack: under a control the core loses `loss` of

@@ -4,7 +4,7 @@ Two styles. `line`: few and gentle movements as in line operation; between the c
 the small corrections of an autothrottle. `enriched`: pushes and pulls in every leg, take-off and
 approach included, at rates from slow to slam, and the whole set of test points low and high.
 
-Each test point separates effects that look alike in line operation (GAP section 3: play against
+Each test point separates effects that look alike in line operation (play against
 dead band against stiction, rate limit against asymmetry against time constant, transport delay
 against sensor lag, heat soak against slow temperature lags and deterioration, bleed against
 deterioration). Fly the whole set low and high, once on a cold and once on a hot engine, and record

@@ -32,7 +32,7 @@ from narxcal.support.errors import ConfigError
 CEILING_FT = 12_000.0 / FT_M
 MACH_MAX = 0.85
 DT_LOW_C, DT_HIGH_C = -30.0, 20.0
-# Sampling rates: at least the 4 Hz that short delays need (GAP section 3).
+# Sampling rates: at least the 4 Hz that short delays need.
 RATE_HZ = (4.0, 256.0)
 SWITCH_NAMES = ("WOW", "Approach", "ECS", "NAI", "WAI")
 CHANNEL_NAMES = ("time_s", "TRA_deg", "ALT_ft", "Mach", "dT_C", *SWITCH_NAMES)

@@ -196,8 +196,8 @@ class ChannelSensor(Section):
     spike_size: float = Field(default=0.0, ge=0)
 
 
-# Speeds lag by 0.02 s, pressures by 0.04 s (FACTS A3: the sensors of the AGTF30). White noise is
-# that of recorded channels (FACTS A8: N1, N2 0.03-0.1 %, EGT 0.5-2 degC, fuel flow 0.3-1 %).
+# Speeds lag by 0.02 s, pressures by 0.04 s (the sensors of NASA's AGTF30). White noise is
+# that of recorded channels (N1, N2 0.03-0.1 %, EGT 0.5-2 degC, fuel flow 0.3-1 %; unverified).
 # Biases, resolutions, the scatter of the clock (a quarter of a 32 Hz sample) and all values without
 # a source are assumed, small against the effects of the library.
 _CLOCK_S = 0.008
@@ -232,8 +232,8 @@ TEST_INSTRUMENTATION: dict[str, ChannelSensor] = {
     "EPR": ChannelSensor(tau_s=0.04, noise_share=0.001, gain_sigma=0.001, resolution=0.001),
 }
 
-# An airline's recorder: engine channels once per second, each in its own slot of the frame (FACTS
-# A8, 14 CFR 125 App. E, which allows steps of 2 % of the full range; those below are finer, as in
+# An airline's recorder: engine channels once per second, each in its own slot of the frame (14
+# CFR 125 App. E, which allows steps of 2 % of the full range; those below are finer, as in
 # real recorders). Rates of the other channels and all slots are assumed.
 FDR: dict[str, ChannelSensor] = {
     "TRA_deg": ChannelSensor(rate_hz=1.0, slot_s=0.125, noise_sigma=0.05, resolution=0.35),
@@ -277,11 +277,11 @@ PROBE_TAU_S: dict[str, float] = {"test_instrumentation": 1.0, "fdr": 1.0, "perfe
 
 # Effects of a sensor. Unit "ch" is that of the channel.
 PARAMETERS: dict[str, Sizes] = {
-    # FACTS A3: probes have 0.5 to 1.5 s at take-off and 2 to 5 s at idle and altitude.
+    # Probes have 0.5 to 1.5 s at take-off and 2 to 5 s at idle and altitude (unverified).
     "sensor_lag": {"tau_s": library_size("sensor_lag", "tau_s", high=20.0)},
     "sensor_bias": {"offset": Size("ch", -1000.0, 1000.0, 0.0)},
     "sensor_drift": {"rate_per_h": Size("ch/h", -5000.0, 5000.0, 0.0)},
-    # GAP section 3: words of a recorder's frame are sampled up to 1 s apart, in either order.
+    # Words of a recorder's frame are sampled up to 1 s apart, in either order.
     "time_skew": {"skew_s": library_size("time_skew", "skew_s", low=-2.0)},
     # `tau_s` at `reference_kgph`; a reference of 0 means at every flow.
     "flowmeter_dynamics": {

@@ -7,8 +7,8 @@ Rogers & Cohen, chapter 3). The off-design solution at the same conditions is th
 Thrust, bypass and pressure ratio are those of the class, and so is the fuel flow at the four
 settings of the landing and take-off cycle: JT15D-4 (1PW036) and CFM56-5B4/3 (8CM055) of the ICAO
 emissions databank, as in OpenAP 2.6.2. The numbers of the maps were fitted to these fuel flows, to
-an idle of the class and to the time constants of FACTS A2 (`eval.benchmarks.virtual_engine` prints
-the table); they are not those of any maker's engine.
+an idle of the class and to the time constants of NASA's AGTF30
+(`eval.benchmarks.virtual_engine` prints the table); they are not those of any maker's engine.
 """
 
 from __future__ import annotations
@@ -211,10 +211,10 @@ class Preset:
     nai_bleed: float = 0.022
     wai_bleed: float = 0.02
     offtake_W: float = 10e3
-    probe_tau_s: float = 0.70  # FACTS A3
-    metal_tau_s: float = 10.0  # FACTS A4: about 12 s, 6 to 8 % of the heat exchanged
+    probe_tau_s: float = 0.70  # AGTF30's sensor of T45
+    metal_tau_s: float = 10.0  # AGTF30 with T-MATS's heat soak: 12 s
     metal_share: float = 0.055  # of the gas's heat capacity flow, at design
-    casing_tau_s: float = 80.0  # FACTS A4: discs and casings 30 to 300 s
+    casing_tau_s: float = 80.0  # discs and casings 30 to 300 s, unverified
     governor_lag_s: float = 0.22  # valve, lines, burner, sensor and step together
 
 

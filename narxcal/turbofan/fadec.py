@@ -4,7 +4,7 @@
 the fan face over their sea-level standards: speeds over `sqrt(theta)`, temperature over `theta`,
 pressure over `delta`, fuel over `delta sqrt(theta)`, `Wf/Ps3` over `sqrt(theta)`. In corrected
 quantities a gas turbine's dynamics are the same in all conditions if time is stretched by
-`sqrt(theta) / delta` (NACA TR-1011, FACTS A2); reset times of the control are stretched likewise.
+`sqrt(theta) / delta` (NACA TR-1011); reset times of the control are stretched likewise.
 
 Governor and topping loops are each proportional plus reset:
 
@@ -20,7 +20,7 @@ Each switch of the active loop is a minimum or maximum of continuous signals, he
 
 **Fuel system**, in series: an optional lag of the servo; the metering valve, a lag whose rate is
 limited; the transport delay of the lines; and the lag of vaporising, burning and filling the
-combustor's volume. The defaults are AGTF30's (FACTS A6: 0.1 s, 40 ms); its slew of 2.25 pps/s
+combustor's volume. The defaults are AGTF30's (0.1 s, 40 ms); its slew of 2.25 pps/s
 spans 0 to 2.5 pps in about a second, so `slew_kgps2` is about the engine's largest fuel flow.
 """
 

@@ -1,10 +1,9 @@
 """The throttle linkage: from the pilot's lever to the resolver angle that the control reads.
 
 In series: the play of the linkage, a limit on its rate, the delay of resolver and data bus, and
-the bias of the pick-off. The Spey identification (DeHoff and Hall, papers/spey_identification)
-needed a hysteresis and a pick-off bias in the throttle; FACTS A6 has 1 to 3 % of travel for a cable
-and 50 to 150 ms for resolver and bus. Nothing feeds back from the engine, so a whole log is
-computed at once.
+the bias of the pick-off. The Spey identification (DeHoff and Hall) needed a hysteresis and a
+pick-off bias in the throttle; 1 to 3 % of travel are usual for a cable, 50 to 150 ms for resolver
+and bus (both unverified). Nothing feeds back from the engine, so a whole log is computed at once.
 
 Play, rate limit and delay are written here once more on purpose: blind cases of the diagnosis fly
 this engine, and its equations must not be those that the diagnosis fits (`narxcal.effects`).

@@ -4,7 +4,7 @@ The schedules are in corrected N1, `N1 / sqrt(theta2)`, which nearly determines 
 `delta2`. A constant value up to the corner temperature is thus a flat rating, and the decrease
 beyond it limits the temperature of the gas. The command depends on flight condition and lever
 alone, not on the engine's state, so one function computes it for a whole log and for a steady
-point. Numbers are typical of the class, not those of an engine; figures of FACTS are cited.
+point. Numbers are typical of the class, not those of an engine.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ class Ratings:
     `detents_deg` are the resolver angles of idle, cruise, climb and take-off. `cruise_pct`,
     `climb_pct`, `take_off_pct` are those of a standard day at `altitude_ft`, interpolated linearly
     and constant beyond the ends. Above `corner_dT_C` they decrease by `hot_slope_pct_per_C`: 1 degC
-    costs about 3 degC of EGT (FACTS A5), and 10 degC of EGT correspond to 1 % N1. `N1_max_pct`
+    costs about 3 degC of EGT (CFM56-7), and 10 degC of EGT correspond to 1 % N1. `N1_max_pct`
     limits physical N1. Each bleed lowers the ratings and, through the map, the lever positions
-    next to them, but not the idles (FACTS A5: packs 0.4 to 0.7, anti-ice 0.6 to 0.8 % each). Idles
-    rise with altitude and, as the fan windmills, with Mach. With weight on wheels the ground idle
-    applies, whatever `Approach` is.
+    next to them, but not the idles (FlyByWire's A32NX: packs 0.4 to 0.7, anti-ice 0.6 to 0.8 %
+    each). Idles rise with altitude and, as the fan windmills, with Mach. With weight on wheels the
+    ground idle applies, whatever `Approach` is.
 
     Effects: `idle_schedule` is a changed `approach_idle_pct`, `temperature_effect` is
     `temperature_bias_pct_per_C`, which adds to the command (in physical %) with `dT_C`.
@@ -90,7 +90,7 @@ SINGLE_AISLE = Ratings(
     take_off_pct=(91.0, 95.0, 98.0, 100.0, 100.5),
     climb_pct=(87.0, 92.0, 96.5, 99.5, 100.0),
     cruise_pct=(83.0, 88.0, 92.5, 96.0, 97.0),
-    ground_idle_pct=20.0,  # FACTS A8: an A320 idles at about 20 % N1
+    ground_idle_pct=20.0,  # an A320 idles at about 20 % N1
     flight_idle_pct=29.0,
     approach_idle_pct=36.0,
     idle_pct_per_kft=0.15,

@@ -4,14 +4,14 @@
 
 The rotors are stepped by the two-step Adams-Bashforth formula, probes and sensors by the exact
 response of a lag to a ramp, and the gas path is solved fully at each step. A step is one cycle of
-the digital control, 16 ms at most (FACTS A6: 15 ms), whatever the sampling of the log; inputs are
+the digital control, 16 ms at most (AGTF30: 15 ms), whatever the sampling of the log; inputs are
 constant from sample to sample.
 
 The metal of the hot section is one node that takes heat out of the gas between burner and
 turbine, `Q = h A (T41 - T_metal)`, `h A` with the 0.8 power of flow (turbulent heat transfer;
-T-MATS uses the same, FACTS A4). The casing follows the metal slowly; while it is colder, tip
+T-MATS uses the same). The casing follows the metal slowly; while it is colder, tip
 clearances are open and cost efficiency. The time constant of the ITT probe is proportional to
-flow^-0.6 (FACTS A3).
+flow^-0.6 (bayonet probes; unverified).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The whole engine with its control: what it promises its users, and FACTS part A."""
+"""The whole engine with its control: what it promises its users, and published figures."""
 
 import numpy as np
 import pytest
@@ -66,13 +66,13 @@ def test_a_slam_stays_clear_of_surge(slam):
 
 
 def test_certified_acceleration_from_flight_idle_at_sea_level(slam):
-    """14 CFR 33.73 (FACTS A1): flight idle, or 15 % thrust, to 95 % in 5 s."""
+    """14 CFR 33.73 : flight idle, or 15 % thrust, to 95 % in 5 s."""
     name, _, _, (idle, top) = slam
     if name == "sea level":
         assert idle[FN] < 0.15 * top[FN]
         assert 3.0 < seconds_to_thrust(slam) <= 5.0
     elif name == "35 kft":
-        assert 6.0 < seconds_to_thrust(slam) < 12.0  # FACTS A1: AGTF30 takes 10.2 s
+        assert 6.0 < seconds_to_thrust(slam) < 12.0  # AGTF30 takes 10.2 s
 
 
 def test_exhaust_temperature_overshoots_a_slam_and_blooms_away(slam):
@@ -81,13 +81,13 @@ def test_exhaust_temperature_overshoots_a_slam_and_blooms_away(slam):
     assert peak > top[EGT] + 8.0
     if name in ("ground", "sea level"):
         drift = float(np.interp(15.0, t, run["EGT_C"])) - top[EGT]
-        assert 10.0 < drift < 30.0  # FACTS A4
+        assert 10.0 < drift < 30.0
 
 
 def test_a_chop_ends_within_the_time_of_the_class(slam):
     _, t, run, (idle, _) = slam
     low = t[np.argmax((t > 31.0) & (run["N1_pct"] < idle[N1] + 5.0))] - 31.0
-    assert 3.0 < low < 13.0  # FACTS A1: 10 to 11.5 s
+    assert 3.0 < low < 13.0  # AGTF30: 10 to 11.5 s
 
 
 @pytest.mark.parametrize("condition", ["sea level", "35 kft"])
@@ -174,7 +174,7 @@ def test_thrust_rises_with_the_lever_and_falls_with_altitude(bench):
 
 def test_a_degree_of_outside_air_costs_about_three_of_exhaust_gas(bench):
     hot, standard = (settled(bench.engine, 85.0, {"dT_C": d, "WOW": 1.0}) for d in (10.0, 0.0))
-    assert 2.5 < (hot - standard)[EGT] / 10.0 < 4.2  # FACTS A5: about 3 at constant thrust
+    assert 2.5 < (hot - standard)[EGT] / 10.0 < 4.2  # CFM56-7: about 3 at constant thrust
     assert hot[FN] == pytest.approx(standard[FN], rel=0.005)  # flat rated
 
 
@@ -183,7 +183,7 @@ def test_a_degree_of_outside_air_costs_about_three_of_exhaust_gas(bench):
 )
 def test_bleed_costs_temperature_and_lowers_the_rating(bench, switch, least, most):
     on, off = (settled(bench.engine, 85.0, {switch: s}) for s in (1.0, 0.0))
-    assert least < (on - off)[EGT] < most  # FACTS A5
+    assert least < (on - off)[EGT] < most
     assert -0.85 < (on - off)[N1] < -0.35
 
 
@@ -196,7 +196,7 @@ def at_the_same_speed(bench, **health):
 
 @pytest.mark.parametrize(
     ("part", "egt", "n2"),
-    # FACTS A7, per percent at take-off: degC of EGT, and the sign of the change in N2.
+    # AGTF30, per percent at take-off: degC of EGT, and the sign of the change in N2.
     [("hpc_efficiency", 7.0, -1), ("hpt_efficiency", 9.7, -1), ("lpt_efficiency", 6.5, 1)],
 )
 def test_wear_shows_its_signature(bench, part, egt, n2):

@@ -85,7 +85,7 @@ def test_bleeds_take_from_high_power_only(ratings):
         loss = n1_command(ratings, at(levers)) - n1_command(ratings, at(levers, bleeds=which))
         assert loss[0] == 0.0
         assert np.all(np.diff(loss[:3]) > 0.0)
-        assert np.all((loss[2:] >= 0.4) & (loss[2:] <= 0.8))  # FACTS A5
+        assert np.all((loss[2:] >= 0.4) & (loss[2:] <= 0.8))  # A32NX
 
 
 @PRESETS

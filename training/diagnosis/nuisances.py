@@ -7,7 +7,7 @@
 | hidden thermal start, exp(-t / 30 s), exp(-t / 120 s) | 1 % of the temperature's level |
 | small dynamics: tolerances of linkages, valves, probes | as in `_small` |
 
-s is the scatter of new engines: N1 0.4 %, N2 0.15 %, EGT 1 % in kelvin, fuel flow 2 % (FACTS A5).
+s is the scatter of new engines: N1 0.4 %, N2 0.15 %, EGT 1 % in kelvin, fuel flow 2 % (assumed).
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from narxcal.support.compiled import compiled
 
 Channels = dict[str, FloatArray]
 _FULL_DEG = 85.0
-_PERIOD_S, _ON_S = 90.0, 30.0  # GAP section 5: an ECS load for 30 s in every 90 s
+_PERIOD_S, _ON_S = 90.0, 30.0  # an ECS load for 30 s in every 90 s
 _OUTPUTS: Final = ("N1_pct", "N2_pct", "EGT_C", "FF_kgph")
 _NONE: Final = np.zeros(1)  # in the place of an output that a log lacks
 _CELSIUS_PCT = 7.0  # degC of exhaust temperature that go with one percent of N2, roughly
