@@ -32,7 +32,7 @@ Seen = Mapping[str, Sequence[float]]  # channel -> u of left-out logs
 class ScatterPrior:
     """Medians m over recorders, as a share of the level by unit and of delays; h and g.
 
-    The values are most likely on the recorders of ../shared (`python -m eval.benchmarks.priors`,
+    The values are most likely on the recorders at hand (`python -m eval.benchmarks.priors`,
     which also leaves each of them out).
     """
 

@@ -59,7 +59,7 @@ Seen = Mapping[int, Sequence[float]]  # octave -> largest heights of logs with s
 class StepPrior:
     """Prior of ln h over recorders: m at k = 0 and its factor per octave, sqrt(v_0), d and p.
 
-    The values are most likely on the recorders of ../shared (`python -m eval.benchmarks.priors`,
+    The values are most likely on the recorders at hand (`python -m eval.benchmarks.priors`,
     which also leaves each of them out).
     """
 

@@ -38,7 +38,7 @@ from training.screening import by_each_other, masked, screened
 
 SETS: Final = ("citation", "a321", "jetcat", "test_cell", "micro_gas_turbine", "agtf30")
 _SLACK_S: Final = 5.0
-# Recording:engine -> channel and times in s of what is really wrong with it (data/README.md).
+# Recording:engine -> channel and times in s of what is really wrong with it.
 KNOWN: Final[Mapping[str, tuple[str, float, float]]] = {
     "citation_20200310_flight2.csv.gz:right": ("FF_kgph", 9.0, 549.0),
 }

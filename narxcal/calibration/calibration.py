@@ -1,6 +1,6 @@
 """A dynamic model behind a steady state (`Calibration`), and the one with a NARX network.
 
-Source: papers/narx calibration, section 2.1 and figure 1.
+Source: the calibration paper, section 2.1 and figure 1.
 
     d(k) = ss(k) - y(k)
     d(k) = NARX( d(k-1).., ss(k) - ss(k-1).., schedule(k).. )

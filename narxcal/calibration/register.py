@@ -1,6 +1,6 @@
 """The state of a calibration between samples, and the one compiled step that advances it.
 
-Source: papers/narx calibration, figure 1 (parameter register). `Register.advance` takes n >= 1
+Source: the calibration paper, figure 1 (parameter register). `Register.advance` takes n >= 1
 samples: one of a stream, a block, or a whole log. All give the same numbers.
 
 | symbol | meaning | shape |

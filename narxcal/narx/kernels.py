@@ -1,6 +1,6 @@
 """Compiled closed-loop kernels of the NARX network, and nothing else.
 
-The network (papers/narx calibration, equations 2 and 3, plus a linear path) is
+The network (the calibration paper, equations 2 and 3, plus a linear path) is
 
     y(k) = clip( b2 + A phi(k) + W2 tanh(b1 + W1 phi(k)),  low, high )
     phi(k) = [ y(k-1) .. y(k-n),  u(k-d1) .. u(k-dm) ]

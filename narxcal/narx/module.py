@@ -1,6 +1,6 @@
 """The NARX network as a PyTorch module: what training changes, the twin of the compiled kernels.
 
-Source: papers/narx calibration, section 2.2, equations (1)-(3); the linear path parallel to the
+Source: the calibration paper, section 2.2, equations (1)-(3); the linear path parallel to the
 hidden layer is that of Billings (2013), Nonlinear System Identification, section 3.3.
 """
 
