@@ -106,11 +106,11 @@ class ArraySource:
         """The named columns in blocks of up to `pace.lines` rows; blank is NaN.
 
         Raises `DataError` for columns of different lengths, for rates that do not divide the
-        fastest one, and for a live `pace`.
+        fastest one, and for a `pace` that follows a growing file.
         """
-        if pace is not None and pace.live:
+        if pace is not None and pace.follow:
             raise DataError(
-                "a file of arrays cannot be streamed", file=self.path, hint="Write it as CSV first"
+                "a file of arrays cannot be followed", file=self.path, hint="Write it as CSV first"
             )
         table = self._rows({name: self._columns[name] for name in names if name in self._columns})
         rows, size = len(next(iter(table.values()))), (pace or Pace()).lines

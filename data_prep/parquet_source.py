@@ -94,12 +94,12 @@ class ParquetSource:
     ) -> Iterator[dict[str, FloatArray]]:
         """The named columns in blocks of up to `pace.lines` rows; null is NaN.
 
-        Raises `DataError` for a column that holds no numbers, for a damaged file, and for a live
-        `pace`: the table of contents of a Parquet file is written last.
+        Raises `DataError` for a column that holds no numbers, for a damaged file, and for a `pace`
+        that follows a growing file: the table of contents of a Parquet file is written last.
         """
-        if pace is not None and pace.live:
+        if pace is not None and pace.follow:
             raise DataError(
-                "a Parquet file cannot be streamed", file=self.path, hint="Write it as CSV first"
+                "a Parquet file cannot be followed", file=self.path, hint="Write it as CSV first"
             )
         for name in names:
             kind = self._file.schema_arrow.field(self._raw[name]).type

@@ -1,6 +1,6 @@
 """Replay: a flight streamed through model and fuser, sample by sample, as on line.
 
-`replay` reads a CSV as a stream, puts each engine's rows on the model's sampling grid, runs one
+`replay` reads a log as a stream, puts each engine's rows on the model's sampling grid, runs one
 `EngineReplay` per engine over them and writes the results as CSV.
 """
 
@@ -465,7 +465,7 @@ def replay(
     options: ReplayOptions | None = None,
     clock: Clock | None = None,
 ) -> ReplaySummary:
-    """Stream the CSV `log` through model and fuser, and write the CSV `out`.
+    """Stream `log` through model and fuser, and write the CSV `out`.
 
     | column | meaning |
     |---|---|

@@ -49,7 +49,7 @@ from eval.report.tables import Shown, Summary
 from eval.report.view import LogView, view_of
 from narxcal.calibration.bundle import Bundle, load_bundle, save_bundle
 from narxcal.calibration.run_record import ScreeningRecord
-from narxcal.support.errors import DataError
+from narxcal.support.errors import ConfigError, DataError
 from narxcal.support.progress import Progress, silent
 from training.config import RunConfig, load_config
 from training.methods import TrainOptions
@@ -325,24 +325,42 @@ def _listed(files: Files) -> list[Path]:
     return found
 
 
-def prepare(data: Recordings) -> PreparedLogs:
+def _recordings(data: Recordings | str | Path | RunConfig) -> Recordings:
+    """Read the logs of a configuration, where that is given instead of them."""
+    if isinstance(data, Recordings):
+        return data
+    if not isinstance(data, str | Path | RunConfig):
+        raise ConfigError(
+            f"expected recordings or a configuration, found {type(data).__name__}",
+            hint='narxcal.read(files, "config.toml") reads recordings',
+        )
+    return read(config=data)
+
+
+def prepare(data: Recordings | str | Path | RunConfig) -> PreparedLogs:
     """Leave out where the engine does not run, clean, smooth; find events and rank channels.
 
-    As `narxcal prepare`; raises `DataError` for a log without the driver or any output.
+    As `narxcal prepare`; `data` may be the configuration whose logs are to be read. Raises
+    `DataError` for a log without the driver or any output.
     """
+    data = _recordings(data)
     running = while_running(list(data.logs), data.config.running)
     return PreparedLogs(tuple(examine(log, data.config) for log in running))
 
 
 def train(
-    data: Recordings, *, out: str | Path | None = None, progress: Progress = silent
+    data: Recordings | str | Path | RunConfig,
+    *,
+    out: str | Path | None = None,
+    progress: Progress = silent,
 ) -> Training:
     """Calibrate a model on the logs that [split] of the configuration names.
 
-    As `narxcal train`, or `identify` where [identify] names a method. `out` is a new folder for the
-    run; `progress` is called with steps done, steps in all, and a word. Raises `DataError`,
-    `ConfigError` as the command.
+    As `narxcal train`, or `identify` where [identify] names a method. `data` may be the
+    configuration whose logs are to be read. `out` is a new folder for the run; `progress` is called
+    with steps done, steps in all, and a word. Raises `DataError`, `ConfigError` as the command.
     """
+    data = _recordings(data)
     split, said = read_split(data.config, data.files, progress, data.logs)
     bundle = calibrate(data.config, data.base, split, TrainOptions(progress))
     found = Training(bundle, split, (*said, *doubts(bundle.record)))

@@ -21,7 +21,7 @@ SCHEMA = "narxcal.replay/1"
 def add_options(parser: ArgumentParser) -> None:
     """Add what the command takes to `parser`."""
     add_run(parser)
-    parser.add_argument("log", metavar="LOG.csv", type=path, help="log, read by RUN's mapping")
+    parser.add_argument("log", metavar="LOG", type=path, help="log, read by RUN's mapping")
     parser.add_argument("--out", metavar="OUT.csv", type=path, required=True, help="CSV file or -")
     add_overwrite(parser)
     add_interval(parser, LEVEL)
@@ -79,8 +79,11 @@ def _show(console: Console, summary: ReplaySummary) -> None:
         ]
         for engine in summary.engines
     ]
-    head = ["engine", "held inputs", "restarts", "outside", "refused", "not fused"]
-    console.table("Samples with something to know about", head, rows)
+    head = [
+        "engine", "inputs held", "restarts after gaps", "outside envelope", "outliers not fused",
+        "outputs never fused",
+    ]  # fmt: skip
+    console.table("Samples, of the model's grid, with something to know about", head, rows)
     pace = f"{summary.times_real_time:,.0f} times real time"
     console.say(
         f"{summary.rows} rows, {summary.log_s:.0f} s of log in {summary.wall_s:.1f} s: {pace}"

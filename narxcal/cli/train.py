@@ -21,7 +21,7 @@ from narxcal.calibration.bundle import (
     write_bundle,
 )
 from narxcal.calibration.certificate import certificate_of
-from narxcal.calibration.run_record import RunRecord, StepRow
+from narxcal.calibration.run_record import RunRecord
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_config
 from narxcal.cli.results import (
@@ -179,19 +179,27 @@ def _show(console: Console, folder: Path, bundle: Bundle) -> None:
         "Constant inputs": certificate_of(bundle.calibration, record.certificate).words,
     }
     console.facts({name: words for name, words in facts.items() if words})
-    rows = [
-        [str(row.start), f"{row.horizon_s:g}", str(row.iteration), *_errors(row)]
+    ends = [
+        row
         for history in training.history
         for row, after in zip(history, [*history[1:], None], strict=True)
         if after is None or after.iteration <= row.iteration
     ]
-    head = ["start", "horizon [s]", "steps", "training error", "validation error"]
+    head = ["start", "horizon [s]", "steps", "training error"]
+    rows = [
+        [
+            str(row.start),
+            f"{row.horizon_s:g}",
+            str(row.iteration),
+            f"{math.sqrt(2.0 * row.loss):.4f}",
+        ]
+        for row in ends
+    ]
+    if any(row.validation is not None for row in ends):
+        head.append("validation error")
+        for cells, row in zip(rows, ends, strict=True):
+            cells.append("" if row.validation is None else f"{row.validation:.4f}")
     console.table("Free-run error in scaled units at the end of each stage", head, rows)
     if bundle.record.interrupted:
         console.say("Interrupted: the best network so far was kept; --resume goes on with it.")
     console.say(f"Model: {folder} ({training.wall_s:.1f} s). Next: narxcal evaluate {folder}")
-
-
-def _errors(row: StepRow) -> tuple[str, str]:
-    validation = "" if row.validation is None else f"{row.validation:.4f}"
-    return f"{math.sqrt(2.0 * row.loss):.4f}", validation

@@ -11,7 +11,7 @@ import pytest
 from matplotlib import pyplot as plt
 
 import narxcal as nx
-from narxcal import DataError
+from narxcal import ConfigError, DataError
 
 PAGE = Path(__file__).parents[2] / "docs/python.md"
 
@@ -39,7 +39,7 @@ def test_logs_are_read_by_configuration_or_by_name(project, data):
 
 
 def test_prepared_logs_are_those_of_the_command(project, data, narxcal, tmp_path, undrawn):
-    found = nx.prepare(data)
+    found = nx.prepare(project / "tiny.toml")
     done = narxcal("prepare", project / "tiny.toml", "--out", tmp_path / "out")
     assert done.code == 0
     written = pd.read_csv(tmp_path / "out" / "events.csv")
@@ -106,6 +106,12 @@ def test_the_page_runs_and_trains_the_model_of_the_command(project, tmp_path, mo
 
 
 def test_what_is_not_there_is_said(data, project):
+    with pytest.raises(ConfigError) as error:
+        nx.prepare(list(data.logs))
+    assert str(error.value) == (
+        "expected recordings or a configuration, found list. "
+        'narxcal.read(files, "config.toml") reads recordings'
+    )
     with pytest.raises(DataError, match=re.escape("there is no log 'x'. There are 3: flight_1")):
         data["x"]
     with pytest.raises(DataError, match="there is no log 3"):

@@ -12,6 +12,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from data_prep.config import LogsConfig
 from data_prep.log import Finding
@@ -472,14 +473,25 @@ def test_a_missing_input_column_is_named(tmp_path):
     assert not list(tmp_path.glob("out*"))
 
 
-def test_a_parquet_file_is_refused_as_no_stream(tmp_path):
-    pa = pytest.importorskip("pyarrow", reason="the extra 'parquet' is not installed")
-    parquet = pytest.importorskip("pyarrow.parquet", reason="the extra 'parquet' is not installed")
-    log = tmp_path / "log.parquet"
-    parquet.write_table(pa.table({"time_s": [0.0, 0.1], "N1_pct": [80.0, 81.0]}), log)
+@pytest.mark.parametrize("ending", ["parquet", "mat"])
+def test_other_formats_are_replayed_as_csv_is_but_not_followed(tmp_path, ending):
+    columns = flight()
+    write(tmp_path / "log.csv", columns)
+    log = tmp_path / f"log.{ending}"
+    if ending == "mat":
+        savemat(log, {name: values[:, None] for name, values in columns.items()})
+    else:
+        pa = pytest.importorskip("pyarrow", reason="the extra 'parquet' is not installed")
+        parquet = pytest.importorskip("pyarrow.parquet", reason="as before")
+        parquet.write_table(pa.table(columns), log)
+    for source in ("csv", ending):
+        replay(MODEL, tmp_path / f"log.{source}", tmp_path / f"of_{source}.csv", STORED)
+    same = (tmp_path / "of_csv.csv").read_bytes() == (tmp_path / f"of_{ending}.csv").read_bytes()
+    assert same
     with pytest.raises(DataError) as error:
-        replay(MODEL, log, tmp_path / "out.csv", STORED)
-    assert str(error.value) == f"{log}: a Parquet file cannot be streamed. Write it as CSV first"
+        replay(MODEL, log, tmp_path / "out.csv", ReplayOptions(follow=True))
+    kind = {"parquet": "Parquet file", "mat": "file of arrays"}[ending]
+    assert str(error.value) == f"{log}: a {kind} cannot be followed. Write it as CSV first"
 
 
 def test_text_in_a_number_is_refused_with_its_row_however_far_down(tmp_path):
