@@ -8,7 +8,7 @@ the criterion is the information of the moves about its parameters (`eval.inform
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import combinations_with_replacement
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
@@ -21,13 +21,12 @@ from eval.information import Experiment, of_training
 from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.calibration import Calibration
 from narxcal.channels import described
-from narxcal.flight_test.moves import Limits, Move, course, moves
+from narxcal.flight_test.moves import CARD_SCHEMA, Limits, Move, course, moves
 from narxcal.intervals import LEVEL
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError
 from narxcal.support.progress import Progress, silent
 
-SCHEMA: Final = "narxcal.card/1"
 _LITTLE: Final = 0.1  # of the held-out mean squared error
 CriterionName = Literal["D", "I"]
 
@@ -68,7 +67,7 @@ class Card:
     def document(self) -> dict[str, Any]:
         """JSON-able."""
         return {
-            "schema": SCHEMA,
+            "schema": CARD_SCHEMA,
             "purpose": self.purpose,
             "headline": self.headline,
             "cautions": list(self.cautions),
@@ -86,11 +85,7 @@ class Card:
     def _row(self, one: Step) -> dict[str, Any]:
         ranges = zip(self.outputs, one.low.tolist(), one.high.tolist(), strict=True)
         return {
-            "name": one.move.name,
-            "altitude_ft": one.move.altitude_ft,
-            "Mach": one.move.mach,
-            "settle_s": one.move.settle_s,
-            "corners": [list(each) for each in one.move.corners],
+            **one.move.model_dump(mode="json", by_alias=True),
             "expected": {name: [low, high] for name, low, high in ranges},
             "inside_envelope": one.inside,
             "share": one.share,
@@ -218,7 +213,7 @@ class Flown:
 
     def alone(self, move: Move) -> FloatArray:
         """Inputs over a move that begins in equilibrium."""
-        return self.course([replace(move, settle_s=0.0)])
+        return self.course([move.model_copy(update={"settle_s": 0.0})])
 
     def course(self, some: Sequence[Move]) -> FloatArray:
         """Inputs over moves one after another, with what lies between them."""

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from narxcal.cli.console import Console
-from narxcal.cli.options import add_jobs, add_out, count, seed
+from narxcal.cli.options import add_jobs, add_out, count, path, seed
 from narxcal.flight_test.fly import (
     TRUE_CHANNELS,
     TRUTH,
@@ -21,6 +21,7 @@ from narxcal.flight_test.fly import (
     load_scenario,
     write_flights,
 )
+from narxcal.flight_test.moves import FlightCard
 from narxcal.flight_test.scenario import FlightScenario, parse_effects
 from narxcal.support.files import Results, recover
 
@@ -41,6 +42,9 @@ def add_options(parser: ArgumentParser) -> None:
         action="extend",
         help="effects instead of CONFIG's, as spool_lag:factor=1.3,sensor_lag@EGT_C:tau_s=1.5, "
         "or none",
+    )
+    parser.add_argument(
+        "--card", metavar="CARD.json", type=path, help="fly this flight card on every flight"
     )
     parser.add_argument("--sensors", metavar="PRESET", help="sensors instead of CONFIG's")
     parser.add_argument("--seed", metavar="N", type=seed, help="seed instead of CONFIG's")
@@ -75,6 +79,8 @@ def read_scenario(options: Namespace) -> FlightScenario:
     }
     if options.effects is not None:
         changes["effects"] = parse_effects(options.effects)
+    if options.card is not None:
+        changes["card"] = FlightCard.read(options.card)
     if options.sensors is not None:
         changes["sensors"] = {"preset": options.sensors}
     if not changes:

@@ -1,4 +1,4 @@
-"""Limits of an aircraft, and the lever moves at fixed altitude that they admit.
+"""Limits of an aircraft, the lever moves at fixed altitude that they admit, and cards of these.
 
 Angles of a move are shares of the permitted lever range until they are placed, so that a lever in
 degrees, a demanded speed and a fuel flow are served alike. Every move begins in equilibrium, after
@@ -7,14 +7,14 @@ degrees, a demanded speed and a fuel flow are served alike. Every move begins in
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Annotated, Final, Literal, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from narxcal.flight_test.manoeuvres import (
     HAND_DEG_S,
@@ -32,6 +32,7 @@ from narxcal.support.errors import ConfigError
 from narxcal.support.settings import Section, read_toml
 
 SCHEMA: Final = "narxcal.limits/1"
+CARD_SCHEMA: Final = "narxcal.card/1"
 _FULL = 100.0  # shares of the lever range are in percent
 _SMALL, _TRIANGLE, _UNIT_S, _PAUSE_S = 10.0, 3.0, 4.0, 2.0
 _STEPS = ((0.0, 50.0), (25.0, 50.0), (50.0, 50.0), (100.0, -50.0), (75.0, -50.0), (50.0, -50.0))
@@ -109,15 +110,20 @@ class Limits(Section):
         return abs(high_ft - low_ft) / self.climb_ft_min
 
 
-@dataclass(frozen=True)
-class Move:
+class Move(Section, extra="ignore"):
     """A lever move at one altitude: corners (s, lever) from its first position on."""
 
     name: str
     altitude_ft: float
-    mach: float
-    corners: tuple[Pair, ...]
-    settle_s: float
+    mach: float = Field(alias="Mach")
+    settle_s: float = Field(ge=0.0)
+    corners: tuple[Pair, ...] = Field(min_length=1)
+
+    @field_validator("corners")
+    @classmethod
+    def _in_order(cls, corners: tuple[Pair, ...]) -> tuple[Pair, ...]:
+        Corners(tuple((at, lever - corners[0][1]) for at, lever in corners))
+        return corners
 
     @property
     def duration_s(self) -> float:
@@ -143,6 +149,32 @@ class Move:
         return found
 
 
+class FlightCard(Section, extra="ignore"):
+    """What is flown of a card: moves of `lever` in their order, within limits."""
+
+    schema_: Literal["narxcal.card/1"] = Field(alias="schema")
+    lever: str
+    limits: Limits
+    steps: tuple[Move, ...] = Field(min_length=1)
+
+    @classmethod
+    def read(cls, file: Path) -> Self:
+        """Read the JSON document of `narxcal card`; raises `ConfigError`."""
+        try:
+            found = json.loads(file.read_bytes())
+        except OSError as error:
+            raise ConfigError(f"cannot be read: {error.strerror}", file=file) from None
+        except (ValueError, RecursionError):
+            found = None
+        if not isinstance(found, dict) or found.get("schema") != CARD_SCHEMA:
+            raise ConfigError(
+                f"is no document of schema {CARD_SCHEMA}",
+                file=file,
+                hint="narxcal card writes it next to the page, with the ending .json",
+            )
+        return cls.parse(found, file)
+
+
 def moves(limits: Limits) -> list[Move]:
     """List the candidate moves at each test altitude."""
     low, high = limits.lever
@@ -150,11 +182,11 @@ def moves(limits: Limits) -> list[Move]:
     shapes = list(_shapes(rate, limits.hold_s))
     return [
         Move(
-            name,
-            height,
-            limits.mach_at(height),
-            tuple((t, low + (begin + a) * (high - low) / _FULL) for t, a in shape.points),
-            limits.settle_s,
+            name=name,
+            altitude_ft=height,
+            Mach=limits.mach_at(height),
+            settle_s=limits.settle_s,
+            corners=tuple((t, low + (begin + a) * (high - low) / _FULL) for t, a in shape.points),
         )
         for height in limits.heights_ft
         for name, begin, shape in shapes

@@ -1,7 +1,8 @@
 """A whole flight for both engines of an aircraft, as input channels of the virtual engine.
 
 Taxi, take-off, step climbs, cruise, descent, approach, go-around, landing and taxi. `route` plans
-legs, air and switches, `pilot` both levers; their docstrings say what each leaves out.
+legs, air and switches, `pilot` both levers; their docstrings say what each leaves out. Or the steps
+of a flight card, as a pilot flies them.
 """
 
 from __future__ import annotations
@@ -11,7 +12,19 @@ from numpy.typing import NDArray
 from pydantic import model_validator
 
 from narxcal.flight_test.manoeuvres import HAND_DEG_S
-from narxcal.flight_test.pilot import SIDES, STYLES, compose, flips, set_apart, work_levers
+from narxcal.flight_test.moves import FlightCard, Move, course
+from narxcal.flight_test.pilot import (
+    IDLE_DEG,
+    LATER_S,
+    SIDES,
+    STYLES,
+    TAKE_OFF_DEG,
+    compose,
+    flips,
+    rate_limited,
+    set_apart,
+    work_levers,
+)
 from narxcal.flight_test.route import (
     AIRCRAFT,
     CHANNEL_NAMES,
@@ -19,6 +32,7 @@ from narxcal.flight_test.route import (
     DT_LOW_C,
     RATE_HZ,
     SHORTEST_S,
+    SWITCH_NAMES,
     Air,
     Aircraft,
     Day,
@@ -39,6 +53,9 @@ from narxcal.support.settings import Section
 LONGEST_S = 43_200.0
 _LOWEST_TOP_FT, _SLOWEST_MACH = 15_000.0, 0.55
 _FIELD_FT = (0.0, 6000.0)
+# A step of a card begins so late (chosen), so far off its altitude (the tolerance of FAA-S-ACS-11).
+_LATE_S, _OFF_FT = 2.0, 100.0
+_BRIEFEST_S = 5.0
 
 
 class FlightPlan(Section):
@@ -111,6 +128,55 @@ def plan_flight(plan: FlightPlan, seed: int) -> dict[str, dict[str, FloatArray]]
         )
         for engine in SIDES
     }
+
+
+def plan_card(card: FlightCard, plan: FlightPlan, seed: int) -> dict[str, dict[str, FloatArray]]:
+    """Fly a card; channels as of `plan_flight`, of `plan` only aircraft and rate.
+
+    It begins at the first altitude with the levers set. Steps begin up to 2 s late and up to 100 ft
+    off within the card's limits, one lever follows the other by 0.1 to 0.6 s, both are rigged
+    apart and change the speed. Raises `ConfigError` for a card that the aircraft cannot fly.
+    """
+    aircraft, limits, dt_s = AIRCRAFT[plan.aircraft], card.limits, 1.0 / plan.rate_hz
+    _check_card(card, aircraft)
+    random = seeded(seed)
+
+    def as_flown(one: Move) -> Move:
+        height = np.clip(one.altitude_ft + random.uniform(-_OFF_FT, _OFF_FT), *limits.altitude_ft)
+        late = one.settle_s + random.uniform(0.0, _LATE_S)
+        return one.model_copy(update={"settle_s": late, "altitude_ft": float(height)})
+
+    path = course(limits, [as_flown(one) for one in card.steps], dt_s)
+    time_s = np.arange(len(path["lever"])) / plan.rate_hz
+    led = rate_limited(path["lever"], HAND_DEG_S * dt_s)
+    pair = (led, np.interp(time_s - random.uniform(*LATER_S), time_s, led))
+    first = int(random.integers(2))
+    levers = {side: set_apart(pair[k ^ first], random) for k, side in enumerate(SIDES)}
+    mach = flown_mach(path["Mach"], 0.5 * (pair[0] + pair[1]), dt_s, aircraft.mach_max)
+    shared = {"time_s": time_s, "ALT_ft": path["ALT_ft"], "Mach": mach}
+    shared["dT_C"] = np.full(len(time_s), limits.dT_C)
+    switches = {
+        name: np.full(len(time_s), limits.inputs.get(name, 0.0) > 0.0) for name in SWITCH_NAMES
+    }
+    return {side: _channels(shared | {"TRA_deg": levers[side]}, switches) for side in SIDES}
+
+
+def _check_card(card: FlightCard, aircraft: Aircraft) -> None:
+    limits = card.limits
+    if card.lever != "TRA_deg" or not {*limits.inputs} <= {*SWITCH_NAMES}:
+        raise ConfigError(
+            f"the virtual engines have the lever TRA_deg and the switches "
+            f"{', '.join(SWITCH_NAMES)}; the card is for {', '.join([card.lever, *limits.inputs])}",
+            hint="Make the card from a run or diagnosis with these inputs",
+        )
+    length_s = sum(60.0 * one.minutes for one in card.steps)
+    check_between("the card's length in s", length_s, _BRIEFEST_S, LONGEST_S)
+    for one in card.steps:
+        check_between("the card's altitude", one.altitude_ft, 0.0, aircraft.ceiling_ft)
+        for _, lever in one.corners:
+            check_between("the card's lever", lever, IDLE_DEG, TAKE_OFF_DEG)
+    check_between("the card's Mach number", max(limits.mach), 0.0, aircraft.mach_max)
+    check_between("the card's dT_C", limits.dT_C, DT_LOW_C, DT_HIGH_C)
 
 
 def seeded(seed: int) -> np.random.Generator:

@@ -24,6 +24,7 @@ from pydantic import Field, field_validator, model_validator
 
 from narxcal.channels import CHANNELS, channel
 from narxcal.flight_test import sensors as sensor_faults
+from narxcal.flight_test.moves import FlightCard
 from narxcal.flight_test.paper_records import (
     DataSet,
     fast_push_sets,
@@ -31,7 +32,7 @@ from narxcal.flight_test.paper_records import (
     throttle_rate_sets,
 )
 from narxcal.flight_test.pilot import SIDES, Side
-from narxcal.flight_test.plan import FlightPlan, plan_flight
+from narxcal.flight_test.plan import FlightPlan, plan_card, plan_flight
 from narxcal.flight_test.route import DT_HIGH_C, DT_LOW_C, MACH_MAX
 from narxcal.flight_test.sensors import SensorConfig, SensorFault, channels_of
 from narxcal.support.arrays import FloatArray
@@ -248,6 +249,7 @@ class FlightScenario(Section):
     flights: how many; left out, six or all `records`. seed: of all random numbers.
     plan: the kind of flight; the aircraft is the engine's where it is not named.
     records: fly these `paper_records` instead; of `plan`, only the rate counts then.
+    card: fly this flight card on every flight; of `plan`, only rate and aircraft count then.
     build_scatter_pct: standard deviation of each efficiency and flow over engines of one type.
     sensors: how channels are measured. outputs: which outputs are recorded; left out, all.
     effects: effects of these engines and sensors that their model leaves out.
@@ -261,6 +263,7 @@ class FlightScenario(Section):
     seed: int = Field(default=0, ge=0)
     plan: FlightPlan = FlightPlan()
     records: Literal["fast_push", "throttle_rate", "take_off_approach"] | None = None
+    card: FlightCard | None = None
     build_scatter_pct: float = Field(default=0.5, ge=0, le=3)
     sensors: SensorConfig = SensorConfig()
     outputs: tuple[str, ...] | None = Field(default=None, min_length=1)
@@ -280,6 +283,8 @@ class FlightScenario(Section):
     @model_validator(mode="after")
     def _possible(self) -> FlightScenario:
         check_once(self.effects)
+        if self.records and self.card:
+            raise ConfigError("records and a card exclude each other", hint="Give one of them")
         most = _RECORDED_FLIGHTS if self.records else self.flight_count
         if self.flight_count > most:
             raise ConfigError(
@@ -313,6 +318,8 @@ class FlightScenario(Section):
         if self.records:
             sets = [each for each in self._data_sets() if each.flight == flight]
             return {each.engine: _inside(each.channels) for each in sets}
+        if self.card is not None:
+            return plan_card(self.card, self.flight_plan(), self._number(flight))
         return plan_flight(self.flight_plan(), self._number(flight))
 
     def log_name(self, flight: int, engine: str) -> str:

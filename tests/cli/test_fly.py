@@ -7,6 +7,8 @@ import time
 import pytest
 
 from data_prep.config import LogsConfig
+from narxcal.flight_test.moves import FlightCard
+from narxcal.flight_test.scenario import FlightScenario
 
 QUICK = """\
 schema = "narxcal.fly/1"
@@ -70,6 +72,57 @@ def test_the_document_is_the_truth_file(narxcal, quick, tmp_path):
     assert document == json.loads((out / "truth.json").read_text("utf-8"))
     assert document["schema"] == "narxcal.flight_truth/1"
     assert (document["seed"], len(document["logs"])) == (3, 2)
+
+
+CARD = {
+    "schema": "narxcal.card/1",
+    "lever": "TRA_deg",
+    "limits": {"altitude_ft": [5000.0, 5000.0], "mach": [0.4, 0.4], "climb_ft_min": 3000.0,
+               "lever": [5.0, 80.0], "lever_per_s": 60.0},
+    "steps": [{"name": "slam", "altitude_ft": 5000.0, "Mach": 0.4, "settle_s": 10.0,
+               "corners": [[0.0, 5.0], [1.25, 80.0], [20.0, 80.0]], "share": 1.0}],
+    "headline": "what else the card has is passed over",
+}  # fmt: skip
+
+
+def test_a_card_is_flown_on_every_flight_and_stays_with_the_truth(narxcal, quick, tmp_path):
+    card, out = tmp_path / "card.json", tmp_path / "out"
+    card.write_text(json.dumps(CARD), "utf-8")
+    done = narxcal("fly", quick, "--out", out, "--card", card, "--json", *ALONE)
+    assert (done.code, done.err) == (0, "")
+    document = json.loads(done.out)
+    assert len(document["logs"]) == 4
+    for log in document["logs"]:
+        assert [move["kind"] for move in log["lever_moves"]] == ["push"]
+        assert log["alt_ft"] == [5000.0, 5000.0]
+    again = FlightScenario.parse(document["scenario"])
+    assert again.card == FlightCard.parse(CARD)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (None, "cannot be read: No such file or directory\n"),
+        (
+            "{}",
+            (
+                "is no document of schema narxcal.card/1. narxcal card writes it next to the page, "
+                "with the ending .json\n"
+            ),
+        ),
+        (
+            json.dumps(CARD | {"steps": []}),
+            "key 'steps': expected a list of at least 1, found []\n",
+        ),
+    ],
+)
+def test_what_is_no_card_is_refused(narxcal, quick, tmp_path, text, words):
+    card = tmp_path / "card.json"
+    if text is not None:
+        card.write_text(text, "utf-8")
+    done = narxcal("fly", quick, "--out", tmp_path / "out", "--card", card)
+    assert done.code == 2
+    assert done.err == f"narxcal: error: {card}: {words}"
 
 
 @pytest.mark.slow

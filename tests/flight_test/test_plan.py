@@ -13,8 +13,9 @@ from data_prep.log import Log
 from narxcal.atmosphere import air_state, isa, mach_of_cas
 from narxcal.channels import CHANNELS
 from narxcal.flight_test.manoeuvres import HAND_DEG_S
+from narxcal.flight_test.moves import FlightCard, course
 from narxcal.flight_test.pilot import SIDES, STYLES, rate_limited
-from narxcal.flight_test.plan import FlightPlan, _draw_day, plan_flight, seeded
+from narxcal.flight_test.plan import FlightPlan, _draw_day, plan_card, plan_flight, seeded
 from narxcal.flight_test.route import (
     AIRCRAFT,
     CEILING_FT,
@@ -405,3 +406,73 @@ def test_both_aircraft_stay_in_the_papers_envelope():
 def test_what_lies_outside_is_refused(value):
     with pytest.raises(ConfigError, match=r"x has to lie in 0 \.\. 1, got .*\. Try less"):
         check_between("x", value, 0.0, 1.0, "Try less")
+
+
+AIR = {"altitude_ft": (5000.0, 15_000.0), "mach": (0.4, 0.6), "climb_ft_min": 3000.0}
+CARD = {
+    "schema": "narxcal.card/1",
+    "lever": "TRA_deg",
+    "limits": {"lever": (5.0, 80.0), "lever_per_s": 60.0, "inputs": {"ECS": 1.0}, **AIR},
+    "steps": [
+        {"name": "slam", "altitude_ft": 5000.0, "Mach": 0.4, "settle_s": 30.0,
+         "corners": [[0.0, 5.0], [1.25, 80.0], [20.0, 80.0]]},
+        {"name": "level", "altitude_ft": 15_000.0, "Mach": 0.6, "settle_s": 30.0,
+         "corners": [[0.0, 40.0], [15.0, 40.0]]},
+    ],
+}  # fmt: skip
+
+
+def test_a_card_is_flown_within_the_tolerances_of_a_pilot():
+    card = FlightCard.parse(CARD)
+    ideal = course(card.limits, card.steps, 0.125)
+    levers = []
+    for seed in range(5):
+        flown = plan_card(card, FlightPlan(rate_hz=8.0), seed)
+        late_s = (len(flown["left"]["time_s"]) - len(ideal["lever"])) / 8.0
+        assert -1.0 < late_s < 2 * 2.0 + 2.0  # two steps; a climb differs by up to 100 ft twice
+        for channels in flown.values():
+            assert tuple(channels) == CHANNEL_NAMES
+            assert channels["ALT_ft"][[0, -1]] == pytest.approx([5000.0, 15_000.0], abs=100.0)
+            assert channels["TRA_deg"].min() >= 4.5
+            assert channels["TRA_deg"].max() == pytest.approx(80.0, abs=0.5)
+            assert channels["TRA_deg"][-1] == pytest.approx(40.0, abs=0.5)
+            assert set(channels["ECS"]) == {1.0}
+            assert set(channels["NAI"]) == {0.0}
+            slammed = np.flatnonzero(channels["TRA_deg"] > 40.0)[0] / 8.0
+            assert 30.0 < slammed < 33.5
+        levers.append(flown["left"]["TRA_deg"])
+        assert not np.array_equal(flown["left"]["TRA_deg"], flown["right"]["TRA_deg"])
+        assert np.ptp(flown["left"]["Mach"][: 20 * 8]) < 0.01
+        assert flown["left"]["Mach"].max() > 0.6  # the slam has made it faster
+    assert len({each.tobytes() for each in levers}) == 5
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (
+            {"lever": "FF_kgph"},
+            (
+                "the virtual engines have the lever TRA_deg and the switches WOW, Approach, ECS, "
+                "NAI, WAI; the card is for FF_kgph, ECS. Make the card from a run or diagnosis "
+                "with these inputs"
+            ),
+        ),
+        (
+            {"steps": [{**CARD["steps"][1], "corners": [[0.0, 40.0], [9.0, 90.0]]}]},
+            "the card's lever has to lie in 0 .. 85, got 90",
+        ),
+        (
+            {"steps": [{**CARD["steps"][1], "altitude_ft": 45_000.0}]},
+            "the card's altitude has to lie in 0 .. 39370.1, got 45000",
+        ),
+        (
+            {"limits": {**CARD["limits"], "mach": (0.4, 0.9)}},
+            "the card's Mach number has to lie in 0 .. 0.85, got 0.9",
+        ),
+    ],
+)
+def test_a_card_that_the_aircraft_cannot_fly_is_refused(change, words):
+    with pytest.raises(ConfigError) as refused:
+        plan_card(FlightCard.parse(CARD | change), FlightPlan(), 0)
+    assert str(refused.value) == words
