@@ -79,7 +79,6 @@ def _parser() -> argparse.ArgumentParser:
         help=f"of --recorders, comma-separated: {','.join(recorders.SETS)}",
     )
     for name, words in (
-        ("--leave-out", "of --recorders: train on all recordings but one"),
         ("--screening-only", "of --recorders: faults alone, no training"),
         ("--json", "print one JSON document"),
     ):
@@ -102,7 +101,6 @@ def _measured(options: argparse.Namespace) -> Iterator[Row]:
             folder,
             options.sets,
             _priors(folder),
-            leave_out=options.leave_out,
             screening_only=options.screening_only,
         )
     elif options.fleets:

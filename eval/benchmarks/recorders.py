@@ -1,10 +1,10 @@
 """Figures on real recorders, columns and split alone: `python -m eval.bench --recorders`.
 
-Each recording of a set is trained on by itself (with `leave_out`, all others are), and what was not
-trained on is judged. A figure is the free-run RMSE of one output, pooled over the judged logs, over
-that of the best of steady state, first-order lag, linear ARX and output error. A figure is lost
-where nothing is left to judge it by. Screening is judged by the samples that it masks and the logs
-with a finding, though nothing is wrong with them (`KNOWN` says where something is).
+Each recording of a set is trained on by itself, and what was not trained on is judged. A figure is
+the free-run RMSE of one output, pooled over the judged logs, over that of the best of steady state,
+first-order lag, linear ARX and output error. A figure is lost where nothing is left to judge it by.
+Screening is judged by the samples that it masks and the logs with a finding, though nothing is
+wrong with them (`KNOWN` says where something is).
 
 The configurations in `columns/` name columns, outputs and inputs, and nothing about the model.
 """
@@ -71,11 +71,11 @@ class Recorder:
             recordings.setdefault(log.source.file, []).append(log)
         return cls(name, config, recordings)
 
-    def divisions(self, *, leave_out: bool) -> Iterator[tuple[str, list[Log], list[Log]]]:
+    def divisions(self) -> Iterator[tuple[str, list[Log], list[Log]]]:
         """Yield (recording, training logs, judged logs), raw."""
         for name, own in self.recordings.items():
             rest = [log for other, logs in self.recordings.items() if other != name for log in logs]
-            yield (name, rest, list(own)) if leave_out else (name, list(own), rest)
+            yield name, list(own), rest
 
 
 def _halves(log: Log) -> Iterator[Log]:
@@ -229,7 +229,6 @@ def rows(
     sets: Sequence[str] = SETS,
     priors: Mapping[str, Priors] | None = None,
     *,
-    leave_out: bool = False,
     screening_only: bool = False,
 ) -> Iterator[Row]:
     """Measure the sets whose files are there, then all of them together.
@@ -246,7 +245,7 @@ def rows(
             continue
         own: list[Figure] = []
         checked: list[Screened] = []
-        for recording, train, judged in recorder.divisions(leave_out=leave_out):
+        for recording, train, judged in recorder.divisions():
             checked += screening(recorder, train, judged, (priors or {}).get(name, PRIORS))
             if not screening_only:
                 part = trained(recorder, train, judged)

@@ -59,17 +59,6 @@ def test_without_weight_on_wheels_every_event_counts_which_is_said(folder, narxc
     assert f"<li>{said}</li>" in (folder / "ev/evaluate.html").read_text("utf-8")
 
 
-def test_weight_on_wheels_that_was_asked_for_has_to_be_there(folder, narxcal):
-    config = folder / "mine.toml"
-    config.write_text(CONFIG + '[events]\ncondition = "WOW"\n', "utf-8")
-    done = narxcal("prepare", config, "--out", folder / "prepared")
-    assert done.code == 2
-    assert done.err == (
-        "narxcal: error: flight_1.csv, channel WOW: events need their condition channel, and the "
-        'log has none. Derive it in [logs], or set condition = "" in [events]\n'
-    )
-
-
 def refused(done, message):
     """Exit code 2 and one line."""
     assert (done.code, done.out) == (2, "")
@@ -109,15 +98,6 @@ def test_a_folder_in_the_place_of_a_log(folder, project, narxcal):
     message = f"{logs}: a log is a file, and this is a folder. Name the files in it"
     refused(narxcal("evaluate", project / "run", "--logs", logs, "--out", folder / "ev"), message)
     refused(narxcal("replay", project / "run", logs, "--out", folder / "out.csv"), message)
-
-
-def test_a_log_in_the_place_of_a_configuration(folder, narxcal):
-    file = folder / "log.csv.gz"
-    file.write_bytes(b"\x1f\x8b\x08\x00" + bytes(range(256)))
-    refused(
-        narxcal("prepare", file, "--out", folder / "out"),
-        f"{file}: expected a TOML file, found no text in UTF-8",
-    )
 
 
 def test_resuming_what_never_began_is_said(folder, narxcal):

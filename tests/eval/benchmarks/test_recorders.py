@@ -23,16 +23,14 @@ def recorder():
     return Recorder("some", RunConfig(), recordings)
 
 
-@pytest.mark.parametrize("leave_out", [False, True])
-def test_each_recording_is_a_side_of_its_own_with_both_engines(leave_out):
-    found = list(recorder().divisions(leave_out=leave_out))
+def test_each_recording_is_a_side_of_its_own_with_both_engines():
+    found = list(recorder().divisions())
     assert [name for name, _, _ in found] == ["a", "b", "c"]
     for name, train, judged in found:
-        alone, rest = (judged, train) if leave_out else (train, judged)
-        assert {one.source.file for one in alone} == {name}
-        assert {one.source.file for one in rest} == {*"abc"} - {name}
-        assert len(alone) == 2
-        assert len(rest) == 4
+        assert {one.source.file for one in train} == {name}
+        assert {one.source.file for one in judged} == {*"abc"} - {name}
+        assert len(train) == 2
+        assert len(judged) == 4
 
 
 def test_the_halves_of_one_flight_are_two_recordings():
