@@ -100,7 +100,7 @@ class Study:
 def missed(studies: Sequence[Study]) -> list[str]:
     """Claims that do not hold here, with our figure."""
     return [
-        f"{claim.what}: {claim.ours}, {claim.origin} says {claim.claimed}"
+        f"{claim.what}: {claim.ours}, not {claim.claimed}."
         for study in studies
         for claim in study.claims
         if claim.met is False
@@ -158,13 +158,9 @@ def reproduction_page(header: RunHeader, studies: Sequence[Study]) -> str:
 def outcome_of(studies: Sequence[Study]) -> Outcome:
     """Count the claims reached, and name those that are not."""
     judged = [claim for study in studies for claim in study.claims if claim.met is not None]
-    reached = sum(claim.met is True for claim in judged)
-    missed = [
-        f"{claim.what}: {claim.ours}, not {claim.claimed}." for claim in judged if not claim.met
-    ]
-    headline = f"{reached} of {len(judged)} claims are reached"
-    passed = not missed if judged else None
-    return Outcome(passed, headline, (*counts(judged), *missed))
+    lines = missed(studies)
+    headline = f"{len(judged) - len(lines)} of {len(judged)} claims are reached"
+    return Outcome(not lines if judged else None, headline, (*counts(judged), *lines))
 
 
 def counts(judged: Sequence[Claim]) -> list[str]:

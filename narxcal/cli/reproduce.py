@@ -32,7 +32,7 @@ from eval.reproduce.data import (
 )
 from eval.reproduce.narx_paper import SCHEMA, Reproduction, reproduce
 from eval.reproduce.spey import spey_studies
-from eval.reproduce.study import Study, counts, outcome_of, reproduction_page
+from eval.reproduce.study import Study, counts, missed, outcome_of, reproduction_page
 from eval.rules import rules
 from narxcal.calibration.bundle import write_bundle
 from narxcal.cli.console import Console
@@ -102,7 +102,7 @@ def _identification_paper(options: Namespace, out: Path, console: Console) -> in
         "schema": SCHEMA,
         "paper": options.paper,
         "ok": bool(outcome.passed),
-        "missed": list(outcome.lines),
+        "missed": missed(studies),
         "studies": [study.row() for study in studies],
         "contradictions": list(contradictions),
         "versions": versions(),

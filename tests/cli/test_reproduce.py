@@ -143,6 +143,7 @@ def test_an_older_paper_makes_a_page_and_a_document_that_agree(paper, tmp_path, 
     claims = [claim for study in document["studies"] for claim in study["claims"]]
     page = (out / "reproduce.html").read_text("utf-8")
     assert len(claims) > 5
+    assert len(document["missed"]) == sum(claim["met"] is False for claim in claims)
     assert all(str(escape(claim["what"])) in page for claim in claims)
 
 
