@@ -31,7 +31,7 @@ from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterator, Sequence
+    from collections.abc import Generator, Iterable, Iterator, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -330,25 +330,32 @@ class CsvSource:
         clock = self.dialect.clock if name == self.dialect.time else None
         if not clock and name not in self._words:
             return cells.to_numpy(dtype=np.float64, copy=True)
-        if self._unreadable(name, cells).any():
+        values = self._numbers_of(name, cells)
+        if (np.isnan(values) & cells.notna()).any():
             raise ValueError("neither a clock time nor a date, or no known word")
-        return clock.seconds(cells) if clock else self._of_words(name, cells)
+        return values
 
-    def _of_words(self, name: str, texts: pd.Series[Any]) -> FloatArray:
-        codes, words = pd.factorize(texts.astype("str"))
-        numbers = [self._words[name](str(word)) if word else np.nan for word in words]
+    def _numbers_of(self, name: str, texts: pd.Series[Any]) -> FloatArray:
+        """Numbers of the cells of a column as text; NaN for a blank and what cannot be read."""
+        if name == self.dialect.time and self.dialect.clock:
+            return self.dialect.clock.seconds(texts)
+        if name not in self._words:
+            return self._parsed(texts)
+        codes, words = pd.factorize(texts.to_numpy(dtype=object))
+        numbers = [self._words[name](word) if word else np.nan for word in words]
         known = np.array(numbers, dtype=np.float64)
-        values = np.where(np.isfinite(known), known, self._parsed(pd.Series(words, dtype="str")))
-        return np.append(values, np.nan)[codes]  # code -1 is a blank
+        if not np.isfinite(known).all():
+            known = np.where(np.isfinite(known), known, self._parsed(words))
+        return np.append(known, np.nan)[codes]  # code -1 is a blank
 
-    def _parsed(self, texts: pd.Series[Any]) -> FloatArray:
+    def _parsed(self, texts: Iterable[object]) -> FloatArray:
         # No more than pandas' parser strips: it refuses a no-break space or a separator of records.
-        plain_numbers = texts.astype("str").str.strip(" \t\v\f\r\n")
+        numbers = [text.strip(" \t\v\f\r\n") if isinstance(text, str) else "" for text in texts]
         if self.dialect.decimal != ".":
-            plain_numbers = plain_numbers.str.replace(".", "x").str.replace(
-                self.dialect.decimal, "."
-            )
-        return pd.to_numeric(plain_numbers, errors="coerce").to_numpy(dtype=np.float64)
+            mark = self.dialect.decimal
+            numbers = [text.replace(".", "x").replace(mark, ".") for text in numbers]
+        found = pd.to_numeric(np.array(numbers, dtype=object), errors="coerce")
+        return np.asarray(found, dtype=np.float64)
 
     def _refuse_long_rows(self, extra: pd.Series[Any], row: int) -> None:
         if extra.notna().any():
@@ -388,12 +395,7 @@ class CsvSource:
         return table.iloc[1:]
 
     def _unreadable(self, name: str, texts: pd.Series[Any]) -> NDArray[np.bool_]:
-        if name == self.dialect.time and self.dialect.clock:
-            numbers = self.dialect.clock.seconds(texts)
-        else:
-            of_words = name in self._words
-            numbers = self._of_words(name, texts) if of_words else self._parsed(texts)
-        return np.asarray(np.isnan(numbers) & texts.notna())
+        return np.asarray(np.isnan(self._numbers_of(name, texts)) & texts.notna())
 
 
 def _what_to_do(text: str) -> str:

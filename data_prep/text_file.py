@@ -197,6 +197,8 @@ def fields(line: str, delimiter: str) -> tuple[str, ...]:
     line = line.replace("\0", "").rstrip("\r\n")
     if delimiter == " ":
         return tuple(line.split())
+    if '"' not in line and line.split() == [line]:
+        return tuple(line.split(delimiter))
     try:
         found = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
     except csv.Error:
@@ -348,8 +350,9 @@ def _width(rows: Sequence[Sequence[str]], header: Sequence[str]) -> int:
 
 
 def _is_tabular(rows: Sequence[Sequence[str]]) -> bool:
-    filled = [cell for row in rows for cell in row if cell]
-    return sum(map(_is_number, filled)) >= _NUMBERS_PART * max(len(filled), 1)
+    filled = Counter(cell for row in rows for cell in row if cell)
+    numbers = sum(count for cell, count in filled.items() if _is_number(cell))
+    return numbers >= _NUMBERS_PART * max(filled.total(), 1)
 
 
 def _cells_of(rows: Sequence[Sequence[str]], header: tuple[str, ...], name: str) -> list[str]:
@@ -388,6 +391,8 @@ def _refuse_no_text(line: str, all_lines: str) -> None:
 def _unprintable(text: str) -> int:
     """Count signs that no text has; a recorder that lost its power may leave zeros."""
     shown = re.sub(r"[\t\r\n\0]", "", text)
+    if shown.isascii() and shown.isprintable():
+        return 0
     return sum(not sign.isprintable() or sign == "\N{REPLACEMENT CHARACTER}" for sign in shown)
 
 
@@ -418,9 +423,9 @@ def decimal_comma(cell: str, delimiter: str) -> bool:
 
 def _decimal(rows: Sequence[Sequence[str]], delimiter: str) -> str:
     cells = [cell for row in rows for cell in row]
-    commas = [cell for cell in cells if COMMA_NUMBER.fullmatch(cell)]
     if any(_POINT_NUMBER.fullmatch(cell) for cell in cells):
         return "."
+    commas = [cell for cell in cells if COMMA_NUMBER.fullmatch(cell)]
     if delimiter == "," and commas and all(map(_GROUPED.fullmatch, commas)):
         raise DataError(
             f"the comma in {commas[0]!r} may be a decimal mark or one of thousands",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import re
 from dataclasses import dataclass
+from functools import lru_cache
 
 from narxcal.channels import ENDINGS, described
 from narxcal.support.arrays import FloatArray
@@ -252,6 +253,7 @@ def is_unit_text(cell: str) -> bool:
     return plain in _BY_TEXT or plain in _FOREIGN
 
 
+@lru_cache(maxsize=10_000)
 def _plain(cell: str) -> str:
     """Text of a unit without brackets, blanks, dots, plurals and capitals: `Lbs./Hr` is `lb/h`."""
     found = _BRACKETS.fullmatch(cell)

@@ -457,8 +457,9 @@ class Evaluation:
         return [f"{logs[0].log.name}{more}: level error {size} is not judged: {few}"]
 
     def _large_errors(self) -> list[str]:
-        pooled, texts = self.pooled, []
+        texts = []
         for name, bound in self.config.largest_rmse.items():
+            pooled = self.pooled
             if name not in pooled:
                 raise ConfigError(
                     "[evaluate.largest_rmse] bounds a channel that the model does not give",

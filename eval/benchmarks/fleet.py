@@ -1,23 +1,22 @@
-"""What a fleet costs: copies of one log on a scheduler and workers of this machine.
+"""What a fleet costs: copies of one log on workers of this machine.
 
     python -m eval.benchmarks.fleet RUN LOG --logs 1000 --seconds 60 --workers 1 2
 
-Each copy has a noise of its own, so that none is a duplicate. Scheduler, workers and client are
-processes of their own, so that their CPU time and largest memory are apart. `overhead` is the CPU
-time of scheduler and client as a share of that of the workers; `busy` the latter as a share of the
-wall time of all workers, from the first batch to the last.
+Each copy has a noise of its own, so that none is a duplicate. `client` is the process of the
+command, in which Dask's scheduler runs, too. `overhead` is its CPU time as a share of that of the
+workers; `busy` the latter as a share of the wall time of all workers, from the first batch to the
+last.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
-import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -54,74 +53,45 @@ def write_copies(folder: Path, run: Path, log: Path, size: tuple[int, float]) ->
     return count * rows * found.dt_s / 3600.0
 
 
-@contextmanager
-def servers(workers: int, port: int) -> Iterator[dict[str, list[subprocess.Popen[bytes]]]]:
-    """Start a scheduler and workers of one thread each; they end with the block."""
-    address = f"tcp://127.0.0.1:{port}"
-    commands = {
-        "scheduler": ["distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", str(port)],
-        "workers": ["distributed.cli.dask_worker", address, "--nthreads", "1", "--no-nanny"],
-    }
-    found: dict[str, list[subprocess.Popen[bytes]]] = {"scheduler": [], "workers": []}
-    try:
-        for name, times in (("scheduler", 1), ("workers", workers)):
-            for _ in range(times):
-                command = [sys.executable, "-m", *commands[name], "--no-dashboard"]
-                started = subprocess.Popen(command, stderr=subprocess.DEVNULL)  # noqa: S603 -- ours
-                found[name].append(started)
-        yield found
-    finally:
-        for each in (*found["workers"], *found["scheduler"]):
-            each.kill()
-            each.wait()
-
-
-def measure(config: Path, out: Path, workers: int, port: int) -> dict[str, float]:
-    """Run the fleet on new servers; wall and CPU seconds, and largest memory in MB, by part."""
+def measure(config: Path, out: Path, workers: int) -> dict[str, float]:
+    """Run the fleet on new workers; wall and CPU seconds from the first batch on, most memory."""
     import psutil  # noqa: PLC0415 -- comes with distributed
 
-    fleet = [sys.executable, "-m", "narxcal", "fleet", str(config), "--out", str(out), "--quiet"]
-    with servers(workers, port) as running:
-        where = ["--scheduler", f"tcp://127.0.0.1:{port}"]
-        client = subprocess.Popen([*fleet, *where])  # noqa: S603 -- ours
-        watched = {
-            name: [psutil.Process(each.pid) for each in group]
-            for name, group in {**running, "client": [client]}.items()
-        }
-        largest = dict.fromkeys(watched, 0.0)
-        cpu_s: dict[str, float] = {}
-        began = ready = None
-        while client.poll() is None:
-            for name, group in watched.items():
-                seen = [_seen(each) for each in group]
-                largest[name] = max(largest[name], *(memory for _, memory in seen))
-                cpu_s[name] = max(cpu_s.get(name, 0.0), sum(used for used, _ in seen))
-            if began is None and (out / "logs").exists():
-                began, ready = time.perf_counter(), dict(cpu_s)
-            time.sleep(_EVERY_S)
-        wall_s = time.perf_counter() - (began or 0.0)
-    if client.returncode or ready is None:
+    command = [sys.executable, "-m", "narxcal", "fleet", str(config), "--out", str(out), "--quiet"]
+    client = psutil.Popen([*command, "--workers", str(workers)])
+    ready, cpu_s, largest = (0.0, {"client": 0.0, "workers": 0.0}), {}, Counter[str]()
+    while client.poll() is None:
+        seen = {"client": [client], "workers": client.children(recursive=True)}
+        for name, group in seen.items():
+            used = [_used(each) for each in group]
+            cpu_s[name] = max(cpu_s.get(name, 0.0), sum(seconds for seconds, _ in used))
+            largest[name] = max(largest[name], *(memory for _, memory in used), 0)
+        if not ready[0] and (out / "logs").exists():
+            ready = time.perf_counter(), dict(cpu_s)
+        time.sleep(_EVERY_S)
+    if client.returncode or not ready[0]:
         raise SystemExit(client.returncode or 3)
-    used = {name: cpu_s[name] - ready[name] for name in cpu_s}
+    wall_s = time.perf_counter() - ready[0]
+    used_s = {name: cpu_s[name] - ready[1][name] for name in cpu_s}
     return {
         "workers": workers,
         "wall_s": wall_s,
-        **{f"{name}_cpu_s": value for name, value in used.items()},
-        **{f"{name}_MB": value for name, value in largest.items()},
-        "overhead": (used["scheduler"] + used["client"]) / used["workers"],
-        "busy": used["workers"] / (workers * wall_s),
+        **{f"{name}_cpu_s": value for name, value in used_s.items()},
+        **{f"{name}_MB": value / 1e6 for name, value in largest.items()},
+        "overhead": used_s["client"] / used_s["workers"],
+        "busy": used_s["workers"] / (workers * wall_s),
     }
 
 
-def _seen(process: Any) -> tuple[float, float]:
-    """CPU seconds and memory in MB; 0 for a process that has ended."""
+def _used(process: Any) -> tuple[float, int]:
+    """CPU seconds and bytes of memory; 0 for a process that has ended."""
     import psutil  # noqa: PLC0415 -- as above
 
     try:
         times = process.cpu_times()
-        return times.user + times.system, process.memory_info().rss / 1e6
+        return times.user + times.system, process.memory_info().rss
     except psutil.Error:
-        return 0.0, 0.0
+        return 0.0, 0
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -146,7 +116,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "utf-8",
         )
         rows = [
-            measure(config, folder / f"out-{k}", workers, 18700 + k)
+            measure(config, folder / f"out-{k}", workers)
             for k, workers in enumerate(options.workers)
         ]
     load = ", ".join(f"{each:.1f}" for each in os.getloadavg())
