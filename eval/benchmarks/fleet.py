@@ -59,12 +59,13 @@ def measure(config: Path, out: Path, workers: int) -> dict[str, float]:
 
     command = [sys.executable, "-m", "narxcal", "fleet", str(config), "--out", str(out), "--quiet"]
     client = psutil.Popen([*command, "--workers", str(workers)])
-    ready, cpu_s, largest = (0.0, {"client": 0.0, "workers": 0.0}), {}, Counter[str]()
+    cpu_s, largest = {"client": 0.0, "workers": 0.0}, Counter[str]()
+    ready = 0.0, dict(cpu_s)
     while client.poll() is None:
         seen = {"client": [client], "workers": client.children(recursive=True)}
         for name, group in seen.items():
             used = [_used(each) for each in group]
-            cpu_s[name] = max(cpu_s.get(name, 0.0), sum(seconds for seconds, _ in used))
+            cpu_s[name] = max(cpu_s[name], sum(seconds for seconds, _ in used))
             largest[name] = max(largest[name], *(memory for _, memory in used), 0)
         if not ready[0] and (out / "logs").exists():
             ready = time.perf_counter(), dict(cpu_s)

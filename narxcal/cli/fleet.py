@@ -13,6 +13,7 @@ from narxcal.cli.options import add_jobs, add_trust, address, path
 from narxcal.support.addresses import Folder
 
 _MOST_SHOWN = 5
+_SHOWN = ["tail", "file", "status", "reason", "hours", "assessed", "passed", "digest"]
 
 
 def add_options(parser: ArgumentParser) -> None:
@@ -50,7 +51,7 @@ def run(options: Namespace, console: Console) -> int:
         raise KeyboardInterrupt(
             f"{there} of {len(rows)} files are in {options.out}; the same command goes on"
         ) from None
-    logs = fleet.table("logs").to_pylist()
+    logs = fleet.table("logs").select(_SHOWN).to_pylist()
     _show(console, logs)
     _warn(console, logs)
     console.document({"schema": SCHEMA, "out": str(options.out), **_summary(logs)})
@@ -81,9 +82,12 @@ def _same_samples(good: list[dict[str, Any]]) -> list[list[str]]:
 
 
 def _show(console: Console, logs: list[dict[str, Any]]) -> None:
+    tails: dict[str, list[dict[str, Any]]] = {}
+    for row in logs:
+        tails.setdefault(row["tail"], []).append(row)
     rows = []
-    for tail in sorted({row["tail"] for row in logs}):
-        own = _summary([row for row in logs if row["tail"] == tail])
+    for tail in sorted(tails):
+        own = _summary(tails[tail])
         passed = f"{own['passed']} of {own['assessed']}"
         counts = [str(own[name]) for name in ("logs", "failed_files", "duplicates")]
         rows.append([tail, *counts, f"{own['hours']:.1f}", passed])

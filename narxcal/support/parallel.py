@@ -177,9 +177,13 @@ def _local(distributed: Any, workers: int | None) -> Iterator[Any]:
 
     key = "distributed.nanny.pre-spawn-environ"
     quiet = {"silence_logs": "CRITICAL", "dashboard_address": None, "preload": [__name__]}
+    # Without a dashboard the scheduler still serves its state, by default at one port for all.
+    anywhere = {"dashboard_address": "127.0.0.1:0"}
     with (
         dask.config.set({key: {**dask.config.get(key), **_MALLOC}}),
-        distributed.LocalCluster(n_workers=workers, threads_per_worker=1, **quiet) as made,
+        distributed.LocalCluster(
+            n_workers=workers, threads_per_worker=1, scheduler_kwargs=anywhere, **quiet
+        ) as made,
     ):
         yield made
 

@@ -70,6 +70,11 @@ def test_new_workers_compute_every_item_once_and_in_order():
     assert set(in_processes(process_id, range(3), 1)) == {os.getpid()}
 
 
+def test_two_commands_have_workers_of_this_machine_at_a_time():
+    with cluster(workers=1), cluster(workers=1):
+        assert list(in_processes(square, range(3), 1)) == [0, 1, 4]
+
+
 def test_an_item_of_which_workers_die_is_one_error_and_the_cluster_goes_on():
     with cluster(workers=2):
         with pytest.raises(WorkerDied, match="4 workers died with the same work") as died:
