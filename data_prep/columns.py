@@ -45,33 +45,22 @@ _BRACKETS_AT_END = re.compile(r"[\[({<]([^][(){}<>]+)[])}>]\s*$")
 class Table(Protocol):
     """A file of named columns.
 
-    `counts` are the rows and cells read so far that were left out or blanked, by column (`*`:
-    rows), action and reason; `truncated`: the file broke off within a row, which was left out.
+    `header` are the column names in file order, `head` the lines above the first row, `clock` the
+    column that holds clock times or dates ("" for none), `hourly` whether that shows minutes and
+    seconds alone, so that it starts anew each hour, `tabular` whether the rows look like those of
+    a log; else no message quotes the file. `counts` are the rows and cells read so far that were
+    left out or blanked, by column (`*`: rows), action and reason; `truncated`: the file broke off
+    within a row, which was left out.
     """
 
     path: Path
+    header: tuple[str, ...]
+    head: Head
+    clock: str
+    hourly: bool
+    tabular: bool
     counts: Counts
     truncated: bool
-
-    @property
-    def header(self) -> tuple[str, ...]:
-        """Column names in file order."""
-
-    @property
-    def head(self) -> Head:
-        """The lines above the first row."""
-
-    @property
-    def clock(self) -> str:
-        """The column that holds clock times or dates; empty for none."""
-
-    @property
-    def hourly(self) -> bool:
-        """Whether the clock holds minutes and seconds alone, so that it starts anew each hour."""
-
-    @property
-    def tabular(self) -> bool:
-        """Whether the rows look like those of a log; else no message quotes the file."""
 
     def blocks(
         self, names: Sequence[str], pace: Pace | None = None, words: Words | None = None

@@ -122,7 +122,7 @@ class LogsConfig(Section):
     engines, units or recordings in a file apart: each combination of their values becomes a
     log. `channels` are declared beyond the table of `narxcal.channels`. `flights` are patterns of
     file names in which `{flight}` stands for what the files of one flight share: they become one
-    recording (`data_prep.flight`).
+    recording (`data_prep.log_file`).
     """
 
     folder: str = "."

@@ -38,7 +38,6 @@ if TYPE_CHECKING:
 
     from data_prep.config import LogsConfig
     from data_prep.log import Action
-    from data_prep.text_file import Head
 
 _BLOCK_CHARS = 20_000_000  # a block ends here although more lines were wanted: bounded memory
 _SHOWN_CHARS = 40
@@ -83,37 +82,15 @@ class CsvSource:
     def __init__(self, path: Path, dialect: Dialect, no_value: Collection[str] = ()) -> None:
         self.path = path
         self.dialect = dialect
+        self.header, self.head, self.tabular = dialect.header, dialect.head, dialect.tabular
+        self.clock = dialect.time if dialect.clock else ""
+        self.hourly = dialect.clock is not None and dialect.clock.hourly
         self.counts: Counts = Counter()
         self.truncated = False
         self._further = {plain(word) for word in no_value}
         self._no_value: set[str] = set()  # as they are spelled in the file
         self._words: Words = {}
         self._footer: DataError | None = None
-
-    @property
-    def header(self) -> tuple[str, ...]:
-        """Column names in file order."""
-        return self.dialect.header
-
-    @property
-    def clock(self) -> str:
-        """The column that holds clock times or dates; empty for none."""
-        return self.dialect.time if self.dialect.clock else ""
-
-    @property
-    def hourly(self) -> bool:
-        """Whether the clock holds minutes and seconds alone."""
-        return self.dialect.clock is not None and self.dialect.clock.hourly
-
-    @property
-    def head(self) -> Head:
-        """The lines above the first row."""
-        return self.dialect.head
-
-    @property
-    def tabular(self) -> bool:
-        """Whether the rows hold numbers, as those of a log do."""
-        return self.dialect.tabular
 
     def blocks(
         self, names: Sequence[str], pace: Pace | None = None, words: Words | None = None
@@ -143,7 +120,7 @@ class CsvSource:
         """Whole lines below the header."""
         tail = ""  # a line without its end
         with readable(self.path), open_text(self.path) as text:
-            for _ in range(self.dialect.head.lines):
+            for _ in range(self.head.lines):
                 read_row(text)
             for lines in self._arriving(text, pace):
                 lines[0] = tail + lines[0]
@@ -187,7 +164,7 @@ class CsvSource:
         rows = [line for line in lines if line.strip(blanks)]
         if comment := self.dialect.comment:
             rows = [row for row in rows if not row.lstrip().startswith(comment)]
-        new = [row for row in rows if row.strip() not in self.dialect.head.repeated]
+        new = [row for row in rows if row.strip() not in self.head.repeated]
         self.counts["*", "dropped", "header again"] += len(rows) - len(new)
         return new
 

@@ -1,15 +1,19 @@
 """Derive channels that a recorder lacks from others: Mach, temperature over ISA, weight on wheels.
 
-Channels are `(rows,)`, in canonical units.
+Airspeed with altitude, true airspeed with temperature, and the rise of temperature in a probe each
+give the Mach number; altitude gives the usual temperature of the air. So air data also show their
+own units (`units_that_agree`). Channels are `(rows,)`, in canonical units unless said otherwise.
 """
 
 from __future__ import annotations
 
+from itertools import product
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from pydantic import Field, PositiveFloat
 
+from data_prep.units import find_unit, to_canonical
 from narxcal.atmosphere import (
     KELVIN,
     SOUND_KT,
@@ -24,7 +28,13 @@ from narxcal.support.errors import ConfigError
 from narxcal.support.settings import Section
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping, Sequence
+
+# To find units: rows of a recording that are looked at, and of them in flight, at least.
+_ROWS, _FEWEST = 400, 10
+_FLYING = 0.3  # Mach number above which an airspeed is exact
+_SAME_MACH = 0.04  # relative; a wrong unit changes the Mach number by a tenth or more
+_MOST_FROM_ISA_C = 40.0
 
 
 class WeightOnWheels(Section):
@@ -105,8 +115,7 @@ def _mach(channels: Mapping[str, FloatArray]) -> FloatArray | None:
         return mach_of_cas(channels["CAS_kt"], channels["ALT_ft"])
     if {"TAS_kt", "SAT_C"} <= channels.keys():
         with np.errstate(divide="ignore", invalid="ignore"):  # of a failed temperature probe
-            sound_kt = SOUND_KT * np.sqrt((channels["SAT_C"] + KELVIN) / T0_K)
-            return channels["TAS_kt"] / sound_kt
+            return _mach_of_tas(channels["TAS_kt"], channels["SAT_C"])
     return None
 
 
@@ -127,3 +136,67 @@ def _require(
             channel=name,
             hint="Map it under [logs.columns] or take the derivation out of [logs.derive]",
         )
+
+
+def units_that_agree(
+    air: Mapping[str, FloatArray], possible: Mapping[str, Sequence[str]]
+) -> dict[str, str]:
+    """Return the units in which alone air data `(rows,)` agree, by channel.
+
+    `possible` are the units of each channel but Mach, which has none. A channel with several units
+    that agree with some units of the others is left out.
+    """
+    most = max(map(len, air.values()), default=1)
+    rows = np.linspace(0, most - 1, _ROWS)
+    raw = {name: filled(values, rows) for name, values in air.items()}
+    agreeing = []
+    for units in product(*possible.values()):
+        chosen = dict(zip(possible, units, strict=True))
+        canonical = {
+            name: to_canonical(values, find_unit(chosen.get(name, "-"), name))
+            for name, values in raw.items()
+        }
+        if _agree(canonical):
+            agreeing.append(units)
+    found = {name: {units[k] for units in agreeing} for k, name in enumerate(possible)}
+    return {name: each.pop() for name, each in found.items() if len(each) == 1}
+
+
+def _agree(air: Mapping[str, FloatArray]) -> bool:
+    """Whether air data `(rows,)` give one Mach number, in each way that there is, and usual air."""
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        machs = [*([air["Mach"]] if "Mach" in air else []), *_machs(air)]
+        flying = machs[0] > _FLYING if machs else np.zeros(0, dtype=np.bool_)
+        if len(machs) < 2 or flying.sum() < _FEWEST:
+            return False
+        apart = [float(np.median(np.abs(each / machs[0] - 1.0)[flying])) for each in machs[1:]]
+    if not max(apart) < _SAME_MACH:  # NaN is none
+        return False
+    if not {"SAT_C", "ALT_ft"} <= air.keys():
+        return True
+    away = air["SAT_C"] + KELVIN - isa(air["ALT_ft"])[0]
+    return bool(np.median(np.abs(away[flying])) < _MOST_FROM_ISA_C)
+
+
+def _machs(air: Mapping[str, FloatArray]) -> Iterator[FloatArray]:
+    """The Mach number `(rows,)` in each way in which air data give it."""
+    if {"CAS_kt", "ALT_ft"} <= air.keys():
+        yield mach_of_cas(air["CAS_kt"], air["ALT_ft"])
+    if {"SAT_C", "TAT_C"} <= air.keys():
+        rise = (air["TAT_C"] + KELVIN) / (air["SAT_C"] + KELVIN) - 1.0
+        yield np.sqrt(5.0 * np.maximum(rise, 0.0))
+    if {"TAS_kt", "SAT_C"} <= air.keys():
+        yield _mach_of_tas(air["TAS_kt"], air["SAT_C"])
+    elif {"TAS_kt", "TAT_C"} <= air.keys():
+        mach = _mach_of_tas(air["TAS_kt"], air["TAT_C"])
+        yield mach / np.sqrt(1.0 - 0.2 * mach**2)
+
+
+def _mach_of_tas(tas_kt: FloatArray, temperature_c: FloatArray) -> FloatArray:
+    return tas_kt / (SOUND_KT * np.sqrt((temperature_c + KELVIN) / T0_K))
+
+
+def filled(values: FloatArray, rows: FloatArray) -> FloatArray:
+    """Interpolate a column at fractional `rows`, over its blanks."""
+    known = np.flatnonzero(np.isfinite(values))
+    return np.interp(rows, known, values[known]) if len(known) else np.full(len(rows), np.nan)

@@ -16,18 +16,16 @@ from pathlib import Path
 
 import numpy as np
 
-from data_prep.air_data import filled, units_that_agree
-from data_prep.array_source import MAGIC_BYTES, ArraySource, is_array_file
-from data_prep.code_words import code_words
+from data_prep.binary_source import open_binary
 from data_prep.columns import Table, unit_text
 from data_prep.config import ENGINE, LogsConfig
 from data_prep.csv_source import readable
+from data_prep.derive import filled, units_that_agree
 from data_prep.log_file import open_table
 from data_prep.naming import PER_MINUTE, Reading, declarable, fits, read_name
-from data_prep.parquet_source import MAGIC, ParquetSource
 from data_prep.text_file import DELIMITERS, fields, first_lines, has_content, open_text
 from data_prep.units import find_unit, is_volume_flow, named_unit, to_canonical
-from data_prep.words import switch
+from data_prep.words import code_words, switch
 from narxcal.channels import CHANNELS, SPOOLS, described
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
@@ -66,10 +64,10 @@ _LENGTHS_S = (30.0, 86400.0)
 _TIME_UNITS = ("s", "ms", "us", "min", "h")
 _LEVER = (5.0, 120.0)  # highest value of a lever that needs no scale
 _EITHER_WAY = ("air", "squat")  # in the name of a switch that may be on in flight
-_MOST_OTHERS = 12  # columns that are no channel, in a draft
+# Columns that are no channel, of two lines each: with the 21 of `CHANNELS`, and 20 lines of other
+# tables, a draft is one page of 66 lines.
+_MOST_OTHERS = 12
 _PROPORTIONAL = 0.02  # by which two columns of one speed may differ
-
-
 _Keys = dict[str, str | float | bool]
 
 
@@ -84,11 +82,6 @@ class Line:
     keys: _Keys
     why: str
     assumed: float = 1.0
-
-    @property
-    def open(self) -> bool:
-        """Whether a key is still to be filled in."""
-        return OPEN in self.keys.values()
 
     def __str__(self) -> str:
         """Return the line in TOML."""
@@ -172,13 +165,9 @@ def draft(paths: Sequence[Path]) -> Draft:
 
 def _open(path: Path) -> tuple[Table, str]:
     """Open a file whose columns are not mapped, and find its column of time; "" for none."""
-    with readable(path), path.open("rb") as raw:
-        magic = raw.read(MAGIC_BYTES)
-    if is_array_file(magic):
-        source = ArraySource(path, "")
-        time = ("" if source.rated else _time_of(source.header)) or "time_s"
-    elif magic.startswith(MAGIC):
-        time = _time_of(ParquetSource(path).header)
+    binary = open_binary(path, "")
+    if binary:
+        time = ("" if binary.rated else _time_of(binary.header)) or "time_s"
     else:
         with readable(path), open_text(path) as text:
             time = _time_of(_header(first_lines(text, _LINES)))

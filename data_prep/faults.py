@@ -268,8 +268,7 @@ def unnatural(log: Log, name: str, least_s: float) -> list[tuple[int, int]]:
 
     Returns (start, stop) in samples of what lasts for more than `least_s`.
     """
-    never = np.zeros(len(log), dtype=np.bool_)
-    values = np.where(log.interpolated.get(name, never), np.nan, log[name])
+    values = log.measured([name])[:, 0]
     known = np.flatnonzero(np.isfinite(values))
     starts, stops = repeats(values)
     long = (stops - starts) * log.dt_s > least_s

@@ -1,27 +1,36 @@
-"""Resample one channel onto a uniform sampling grid, and account for what that changes.
+"""Resample channels onto a uniform sampling grid, and account for what that changes.
 
 A sample is taken over, interpolated, averaged, kept (switches) or left missing; every row and every
 sample that was changed is counted once in the audit, however the rows arrive.
+
+Reading divides a recording where its rows are more than `max_gap_s` apart, and what is learned
+needs inputs without gaps. What is judged is the recording: it has one free run, one set of figures
+and one picture, however often its recorder stopped for a moment. `joined` makes one log of its
+parts again, in which gaps are samples that nobody measured.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from data_prep.log import LONG_SPAN_S, Audit, AuditEntry
+from data_prep.log import LONG_SPAN_S, Audit, AuditEntry, Log
+from narxcal.channels import described
 from narxcal.support.arrays import BoolArray, FloatArray, runs
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Mapping, Sequence
 
     from data_prep.log import Action
 
 ON_GRID = 0.01  # of the interval: samples closer than this to a grid time are on it
 OWN_INTERVALS = 2.5  # a slower channel may miss one of its own samples
 SLOW = "slower than the grid"  # why a sample lies between two of its channel's own
+_GAP = "gap in the recording"
+# Times the rows that there are. A recorder that was off for longer wrote several recordings.
+_LONGEST = 3.0
 LARGEST = 1e30  # beyond it a number is a fault, and its arithmetic would overflow
 
 
@@ -232,7 +241,8 @@ class StreamAudit:
     ) -> None:
         """Count the faults of those rows `(rows,)`, in order of time, that are `new`."""
         steps = grid.steps(time)
-        self.count("*", "repaired", "time stamp off the grid", _uneven(steps[new]))
+        uneven = steps[new] != np.round(steps[new])
+        self.count("*", "repaired", "time stamp off the grid", int(uneven.sum()))
         for name, values in rows.items():
             if name == "time_s":
                 continue
@@ -258,5 +268,55 @@ class StreamAudit:
         return Audit().add(*entries)
 
 
-def _uneven(steps: FloatArray) -> int:
-    return int((steps != np.round(steps)).sum())
+def joined(logs: Sequence[Log]) -> list[Log]:
+    """Join the parts of each engine of each file, in their order; logs without a file stay."""
+    groups: dict[tuple[str, str], list[Log]] = {}
+    for number, log in enumerate(logs):
+        file = log.source.file or f"log {number}"
+        groups.setdefault((file, log.source.engine), []).append(log)
+    return [log for parts in groups.values() for log in _one(parts)]
+
+
+def _one(parts: list[Log]) -> list[Log]:
+    first, dt_s = parts[0], parts[0].dt_s
+    if len(parts) == 1:
+        return parts
+    count = round((parts[-1].time_s[-1] - first.time_s[0]) / dt_s) + 1
+    known = sum(map(len, parts))
+    same = all(one.channels.keys() == first.channels.keys() for one in parts)
+    if not same or not known <= count <= _LONGEST * known:
+        return parts
+    time_s = first.time_s[0] + dt_s * np.arange(count, dtype=np.float64)
+    channels = {name: np.full(count, np.nan) for name in first.channels}
+    between = {name: np.zeros(count, dtype=np.bool_) for one in parts for name in one.interpolated}
+    measured = np.zeros(count, dtype=np.bool_)
+    for one in parts:
+        start = int(np.ceil((one.time_s[0] - time_s[0]) / dt_s - ON_GRID))
+        stop = min(count, int(np.floor((one.time_s[-1] - time_s[0]) / dt_s + ON_GRID)) + 1)
+        rows = slice(start, stop)
+        measured[rows] = True
+        for name, values in channels.items():
+            values[rows] = _at(time_s[rows], one, name)
+        for name, flags in one.interpolated.items():
+            near = np.clip(np.searchsorted(one.time_s, time_s[rows]), 0, len(one) - 1)
+            between[name][rows] = flags[near]
+    lost = int((~measured).sum())
+    gaps = [AuditEntry(name, "masked", _GAP, lost) for name in channels]
+    audit = Audit(tuple(entry for one in parts for entry in one.audit.entries)).add(*gaps)
+    found = (replace(each, log=first.name) for one in parts for each in one.findings)
+    findings = tuple(dict.fromkeys(found))
+    whole = replace(first, time_s=time_s, channels=channels, audit=audit, findings=findings)
+    return [replace(whole, interpolated=between)]
+
+
+def _at(time_s: FloatArray, part: Log, name: str) -> FloatArray:
+    """Channel of a part at grid times: as it is on its own grid, else between two known values."""
+    values, switch = part[name], described(name).role == "switch"
+    steps = (time_s - part.time_s[0]) / part.dt_s
+    nearest = np.clip(np.round(steps), 0, len(part) - 1).astype(np.intp)
+    if switch or (np.abs(steps - nearest) <= ON_GRID).all():
+        return np.asarray(values[nearest])
+    below = np.clip(np.floor(steps), 0, len(part) - 1).astype(np.intp)
+    above = np.minimum(below + 1, len(part) - 1)
+    share = steps - below
+    return np.asarray((1.0 - share) * values[below] + share * values[above])

@@ -24,6 +24,19 @@ Kind = Literal[
     "inconsistent",
 ]  # fmt: skip
 MASK = 0.95  # least probability of what is masked
+SURE = 0.999  # of a finding that physics contradicts
+# What would prove a finding about a whole log.
+_REMEDIES: Mapping[Kind, str] = {
+    "unit": "Check the recorder's unit and set it under [logs.columns]",
+    "scale": "Compare with another sensor, or with a ground run of a trimmed engine",
+    "bias": "Compare with another sensor, or with a ground run of a trimmed engine",
+    "late": "Check the recorder's time stamps of this channel",
+    "held": "Check at which rate the recorder samples this channel",
+    "noise": "Check the sensor's wiring and the recorder's filter",
+    "exchanged": "Check which column is which",
+    "stretched": "Check the unit of the time stamps, and the rate of the recorder",
+    "inconsistent": "Check both channels' columns and units",
+}
 
 
 @dataclass(frozen=True)
@@ -77,15 +90,19 @@ class Finding:
 
     kind: Kind
     channel: str
-    start_s: float | None
-    end_s: float | None
-    size: float
-    unit: str
-    probability: float
-    evidence: str
-    remedy: str = ""
+    start_s: float | None = None
+    end_s: float | None = None
+    size: float = float("nan")
+    unit: str = ""
+    probability: float = SURE
+    evidence: str = ""
     partner: str = ""
     log: str = ""
+
+    @property
+    def remedy(self) -> str:
+        """What would prove it; empty for a stretch of the log."""
+        return "" if self.local else _REMEDIES.get(self.kind, "")
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -115,12 +132,14 @@ class Finding:
 
     def row(self) -> dict[str, Any]:
         """One entry of `findings` in JSON."""
-        return {**asdict(self), "size": None if np.isnan(self.size) else self.size}
+        size = None if np.isnan(self.size) else self.size
+        return {**asdict(self), "size": size, "remedy": self.remedy}
 
     @classmethod
     def from_row(cls, row: Mapping[str, Any]) -> Finding:
         """Rebuild from `row`."""
-        return cls(**{**row, "size": np.nan if row["size"] is None else row["size"]})
+        known = {name: value for name, value in row.items() if name != "remedy"}
+        return cls(**{**known, "size": np.nan if row["size"] is None else row["size"]})
 
     @property
     def caution(self) -> str:
@@ -232,3 +251,19 @@ class Log:
         never = np.zeros(len(self), dtype=np.bool_)
         between = np.column_stack([self.interpolated.get(name, never) for name in names])
         return np.where(between, np.nan, self.matrix(names))
+
+    def without_faults(self) -> Log:
+        """The log with the stretches that its findings mask as NaN, each counted in the audit."""
+        changed: dict[str, FloatArray] = {}
+        entries = []
+        for each in self.findings:
+            if not each.masks or each.channel not in self.channels:
+                continue
+            values = changed.get(each.channel, self.channels[each.channel]).copy()
+            inside = each.rows(self.time_s) & np.isfinite(values)
+            if inside.any():
+                values[inside] = np.nan
+                changed[each.channel] = values
+                count = int(inside.sum())
+                entries.append(AuditEntry(each.channel, "masked", f"fault: {each.kind}", count))
+        return self.with_channels(changed, *entries) if changed else self

@@ -1,20 +1,26 @@
-"""One file of recordings as canonical channels, block by block."""
+"""Files of recordings as canonical channels, block by block; several of one flight as one.
+
+A recorder cuts a flight into files one after the other, or writes engine and air data each into a
+file of their own. `[logs] flights` says by their names which belong together. Rows of one stamp
+become one row: the first of that stamp in each file, the second, and so on.
+"""
 
 from __future__ import annotations
 
+import hashlib
 from collections import Counter
-from typing import TYPE_CHECKING
+from itertools import combinations
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from data_prep.array_source import MAGIC_BYTES, ArraySource, is_array_file
-from data_prep.code_words import CodeWords
+from data_prep.binary_source import open_binary
 from data_prep.columns import constants, head_entries, map_columns, sources_of, to_channel
 from data_prep.csv_source import Counts, Pace, open_csv, readable
 from data_prep.log import CODE_WORD, AuditEntry
-from data_prep.parquet_source import MAGIC, ParquetSource
+from data_prep.stamps import DAY_S, Passed, clock_goes_on, ordered_rows
 from data_prep.stream import GridStream
-from data_prep.words import Labels, switch
+from data_prep.words import CodeWords, Labels, switch
 from narxcal.channels import described
 from narxcal.support.errors import DataError, did_you_mean
 from narxcal.support.files import sha256_of
@@ -27,24 +33,20 @@ if TYPE_CHECKING:
 
     from data_prep.columns import Table
     from data_prep.config import LogsConfig
-    from narxcal.support.arrays import FloatArray
+    from narxcal.support.arrays import FloatArray, IntArray
 
 # Numbers in a block: 40 MB. A recording of hours is one block, so that the rate of the rows and of
 # each channel is found from all of it; in a larger file they are found from blocks of this size.
 BLOCK_CELLS = 5_000_000
+_DAYS = 10.0  # a clock without a date has counted no more of them
+_ONE_CLOCK = "Files of one flight need one clock, which does not start anew in each"
 
 Rows = dict[str, "FloatArray"]  # channel -> (rows,)
 
 
 def open_table(path: Path, config: LogsConfig) -> Table:
     """Open a file of any format that is read, by its first bytes; raises `DataError`."""
-    with readable(path), path.open("rb") as raw:
-        magic = raw.read(MAGIC_BYTES)
-    if magic.startswith(MAGIC):
-        return ParquetSource(path, config.time_column)
-    if is_array_file(magic):
-        return ArraySource(path, config.time_column)
-    return open_csv(path, config)
+    return open_binary(path, config.time_column) or open_csv(path, config)
 
 
 class LogFile:
@@ -170,10 +172,10 @@ class LogFile:
             waiting.append(block)
             cells += sum(len(values) for rows in block.values() for values in rows.values())
             if cells >= BLOCK_CELLS:
-                yield _joined(waiting)
+                yield _one_block(waiting)
                 waiting, cells = [], 0
         if waiting:
-            yield _joined(waiting)
+            yield _one_block(waiting)
 
     def stream(self, dt_s: float, look_ahead_s: float, rows_s: float | None = None) -> GridStream:
         """Return the stream that puts the rows of one engine on a grid of `dt_s`."""
@@ -189,7 +191,8 @@ class LogFile:
         }
 
 
-def _joined(blocks: list[dict[str, Rows]]) -> dict[str, Rows]:
+def _one_block(blocks: list[dict[str, Rows]]) -> dict[str, Rows]:
+    """Blocks as one; they lose their channels one by one, so that memory never holds all twice."""
     if len(blocks) == 1:
         return blocks[0]
     found: dict[str, Rows] = {}
@@ -199,3 +202,200 @@ def _joined(blocks: list[dict[str, Rows]]) -> dict[str, Rows]:
             name: np.concatenate([part.pop(name) for part in parts]) for name in list(parts[0])
         }
     return found
+
+
+def open_log(path: Path, config: LogsConfig) -> LogFile | Flight:
+    """Open a file, or the flight that it is a part of; raises as `LogFile` and `Flight`."""
+    parts = config.parts(path)
+    return LogFile(path, config) if len(parts) == 1 else Flight(parts, config)
+
+
+class _Part(NamedTuple):
+    """Rows of one engine in one file, in order of time: stamps, number within a stamp, channels."""
+
+    path: Path
+    time_s: FloatArray
+    number: IntArray
+    channels: Rows
+
+    @property
+    def span_s(self) -> tuple[float, float]:
+        """First and last stamp."""
+        return float(self.time_s[0]), float(self.time_s[-1])
+
+
+class Flight:
+    """The files of one flight, with the verbs of `LogFile`; it is read whole.
+
+    Raises `DataError` where no file has a column that is not optional.
+    """
+
+    hourly = False
+
+    def __init__(self, paths: Sequence[Path], config: LogsConfig) -> None:
+        self.path, self.config = paths[0], config
+        self.name = config.flight_of(self.path)
+        own = config.for_inputs(())
+        self.files = [LogFile(path, own) for path in paths]
+        self.engines = tuple(dict.fromkeys(each for file in self.files for each in file.engines))
+        self._counts: dict[str, Counts] = {}
+        self._heads: list[AuditEntry] = []
+        for file in self.files:
+            if file.hourly:
+                raise DataError(
+                    "a clock without hours cannot be joined with other files",
+                    file=file.path,
+                    hint=_ONE_CLOCK,
+                )
+        there = frozenset[str]().union(*(file.channels for file in self.files))
+        for name, source in config.columns.items():
+            if source.column and not source.optional and name not in there:
+                raise DataError(
+                    f"no file of flight '{self.name}' has column '{source.column}'",
+                    file=self.path,
+                    channel=name,
+                    hint="Where a flight may lack it: optional = true. Its files are "
+                    f"{', '.join(path.name for path in paths)}",
+                )
+
+    @property
+    def truncated(self) -> bool:
+        """Whether one of the files broke off within a row."""
+        return any(file.truncated for file in self.files)
+
+    def sha256(self) -> str:
+        """Hash of the hashes of all files, in their order."""
+        return hashlib.sha256("".join(each.sha256() for each in self.files).encode()).hexdigest()
+
+    def blocks(self, engines: Sequence[str], pace: Pace | None = None) -> Iterator[dict[str, Rows]]:
+        """Yield engine -> channel -> `(rows,)` of the whole flight; raises `DataError`."""
+        if pace and pace.follow:
+            raise DataError(
+                "a flight of several files cannot be followed",
+                file=self.path,
+                hint="Follow one file that has all channels",
+            )
+        whole: dict[str, list[_Part]] = {}
+        for file in self.files:
+            blocks = list(file.blocks([each for each in engines if each in file.engines]))
+            rows = sum(len(next(iter(block.values()))["time_s"]) for block in blocks if block)
+            self._heads += file.head_entries(rows)
+            for engine, counts in file.counted().items():
+                self._counts[engine] = self._counts.get(engine, Counter()) + counts
+            for engine, found in (_one_block(blocks) if blocks else {}).items():
+                parts = whole.setdefault(engine, [])
+                parts += self._part(file, found, engine, parts)
+        yield {engine: _joined(parts) for engine, parts in whole.items() if parts}
+
+    def large_blocks(self) -> Iterator[dict[str, Rows]]:
+        """Yield the same for all engines."""
+        return self.blocks(self.engines)
+
+    def counted(self) -> dict[str, Counts]:
+        """Take engine -> what was dropped and blanked, as `LogFile.counted`."""
+        counts, self._counts = self._counts, {}
+        return counts
+
+    def head_entries(self, rows: int) -> tuple[AuditEntry, ...]:  # noqa: ARG002 - of each file
+        """Account for the lines above the rows of all files."""
+        return tuple(self._heads)
+
+    def stream(self, dt_s: float, look_ahead_s: float, rows_s: float | None = None) -> GridStream:
+        """Return the stream that puts the rows of one engine on a grid of `dt_s`."""
+        known = constants(self.config.columns)
+        return GridStream(self.config, dt_s, look_ahead_s, str(self.path), known, rows_s=rows_s)
+
+    def _part(
+        self, file: LogFile, rows: Rows, engine: str, before: Sequence[_Part]
+    ) -> Iterator[_Part]:
+        """Order the rows of a file, which may go on where another one was cut, and at midnight."""
+        own = rows.keys() - {"time_s"}
+        last = next((each for each in reversed(before) if each.channels.keys() == own), None)
+        ends_s = last.span_s[1] if last else np.nan
+        days = int(ends_s // DAY_S) if ends_s < _DAYS * DAY_S else 0
+        gap_s = self.config.max_gap_s
+        stamps, _, moved = clock_goes_on(rows["time_s"], gap_s, ends_s, Passed(days))
+        ordered = ordered_rows(stamps, gap_s, str(file.path))
+        counts = self._counts.setdefault(engine, Counter())
+        for entry in (*moved, *ordered.entries):
+            counts[entry.channel, entry.action, entry.reason] += entry.samples
+        if len(ordered.time_s):
+            number = _number_within(ordered.time_s)
+            if last and ordered.time_s[0] == ends_s:
+                number[ordered.time_s == ends_s] += np.sum(last.time_s == ends_s)
+            yield _Part(
+                file.path, ordered.time_s, number, {name: rows[name][ordered.order] for name in own}
+            )
+
+
+def _number_within(time_s: FloatArray) -> IntArray:
+    """Of ascending stamps (rows,), how many rows before have the same one."""
+    first = np.append(True, np.diff(time_s) > 0.0)
+    rows = np.arange(len(time_s))
+    return rows - np.maximum.accumulate(np.where(first, rows, 0))
+
+
+def _joined(parts: Sequence[_Part]) -> Rows:
+    """Rows of all parts in order of time, NaN where a part has none; raises `DataError`."""
+    _check_shared_time(parts)
+    keys = np.concatenate([np.column_stack([each.time_s, each.number]) for each in parts])
+    known, rows = np.unique(keys, axis=0, return_inverse=True)
+    places = np.split(rows.ravel(), np.cumsum([len(each.time_s) for each in parts])[:-1])
+    for (one, at), (other, there) in combinations(zip(parts, places, strict=True), 2):
+        _check_overlap(one, other, np.intersect1d(at, there, return_indices=True)[1:])
+    names = dict.fromkeys(name for each in parts for name in each.channels)
+    whole: Rows = {"time_s": known[:, 0]}
+    for name in names:
+        whole[name] = np.full(len(known), np.nan)
+        for each, at in zip(parts, places, strict=True):
+            if name in each.channels:
+                given = np.isfinite(each.channels[name])
+                whole[name][at[given]] = each.channels[name][given]
+    return whole
+
+
+def _check_shared_time(parts: Sequence[_Part]) -> None:
+    """Files of different channels have to overlap in time, else nothing is recorded together."""
+    spans: dict[frozenset[str], tuple[float, float, Path]] = {}
+    for each in parts:
+        first, last, path = spans.get(frozenset(each.channels), (*each.span_s, each.path))
+        ends = min(first, each.span_s[0]), max(last, each.span_s[1])
+        spans[frozenset(each.channels)] = (*ends, path)
+    for one, other in combinations(spans.values(), 2):
+        if min(one[1], other[1]) < max(one[0], other[0]):
+            raise DataError(
+                f"it runs from {one[0]:.10g} to {one[1]:.10g} s and {other[2].name} from "
+                f"{other[0]:.10g} to {other[1]:.10g} s: files of one flight with different "
+                "channels have to share time",
+                file=one[2],
+                channel="time_s",
+                hint=_ONE_CLOCK,
+            )
+
+
+def _check_overlap(one: _Part, other: _Part, rows: tuple[IntArray, IntArray]) -> None:
+    """Where two files have one channel at one time, they have to hold the same samples.
+
+    `rows` are the rows of each that have the same stamp.
+    """
+    start, end = max(one.time_s[0], other.time_s[0]), min(one.time_s[-1], other.time_s[-1])
+    shared = one.channels.keys() & other.channels.keys()
+    if start > end or not shared:
+        return
+    same = [np.isin(np.arange(len(k.time_s)), r) for k, r in zip((one, other), rows, strict=True)]
+    apart_s = [
+        k.time_s[(k.time_s >= start) & (k.time_s <= end) & ~known]
+        for k, known in zip((one, other), same, strict=True)
+    ]
+    for name in sorted(shared):
+        a, b = one.channels[name][rows[0]], other.channels[name][rows[1]]
+        differ = one.time_s[rows[0]][np.isfinite(a) & np.isfinite(b) & (a != b)]
+        wrong_s = np.concatenate([differ, *(apart_s if start < end else [])])
+        if len(wrong_s):
+            raise DataError(
+                f"it and {other.path.name} overlap from {start:.10g} to {end:.10g} s, and differ "
+                f"at {wrong_s.min():.10g} s",
+                file=one.path,
+                channel=name,
+                hint=f"{_ONE_CLOCK}; or they are of different flights",
+            )

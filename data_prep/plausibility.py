@@ -29,7 +29,6 @@ from narxcal.atmosphere import KELVIN, SOUND_KT, T0_K, isa, mach_of_cas
 from narxcal.channels import CHANNELS, SPOOLS, Channel, described
 from narxcal.support.arrays import BoolArray, FloatArray, robust_range, spans
 
-SURE = 0.999
 _QUANTISED, _ONE_SIZE = 0.6, 0.02  # share of the changes that are of one size, to this part of it
 _MANY = 0.2  # share of the samples outside of the physical range: no single errors, another unit
 _FRACTION = 1.6  # a spool speed below this all along is a ratio, not percent
@@ -79,22 +78,15 @@ def checked(log: Log) -> Log:
     """Return the log with its `findings` and `updates`; its values are unchanged."""
     if len(log) < 3:
         return log
-    updates = {name: update_interval(values) * log.dt_s for name, values in _measured(log).items()}
+    updates = {
+        name: update_interval(log.measured([name])[:, 0]) * log.dt_s for name in log.channels
+    }
     log = replace(log, updates=updates)
     found = [*_units(log), *_stuck_air(log)]
     known = {each.channel for each in found}
     rest = {name: values for name, values in log.channels.items() if name not in known}
     found += _air(replace(log, channels=rest))
     return replace(log, findings=(*log.findings, *found))
-
-
-def _measured(log: Log) -> dict[str, FloatArray]:
-    """Channels (time,), NaN between two measurements of a slow one."""
-    never = np.zeros(len(log), dtype=np.bool_)
-    return {
-        name: np.where(log.interpolated.get(name, never), np.nan, values)
-        for name, values in log.channels.items()
-    }
 
 
 def of_cleaning(log: Log) -> Log:
@@ -114,40 +106,8 @@ def of_cleaning(log: Log) -> Log:
             span_s = max(start_s, float(log.time_s[0])), min(stop_s, float(log.time_s[-1]))
             if span_s[1] > span_s[0]:
                 kind, text = kinds[entry.reason]
-                found.append(finding(log, entry.channel, kind, text, span_s=span_s))
+                found.append(Finding(kind, entry.channel, *span_s, evidence=text, log=log.name))
     return replace(log, findings=(*log.findings, *found)) if found else log
-
-
-def finding(  # noqa: PLR0913 (a finding has so many parts)
-    log: Log,
-    channel: str,
-    kind: Kind,
-    evidence: str,
-    *,
-    span_s: tuple[float, float] | None = None,
-    size: tuple[float, str] = (float("nan"), ""),
-    probability: float = SURE,
-    partner: str = "",
-) -> Finding:
-    """Make a finding about a log; without `span_s` about the whole of it."""
-    start_s, end_s = span_s or (None, None)
-    remedy = _REMEDIES.get(kind, "") if span_s is None else ""
-    how = (size[0], size[1], float(probability), evidence, remedy, partner, log.name)
-    return Finding(kind, channel, start_s, end_s, *how)
-
-
-# What would prove a finding about a whole log.
-_REMEDIES: Mapping[str, str] = {
-    "unit": "Check the recorder's unit and set it under [logs.columns]",
-    "scale": "Compare with another sensor, or with a ground run of a trimmed engine",
-    "bias": "Compare with another sensor, or with a ground run of a trimmed engine",
-    "late": "Check the recorder's time stamps of this channel",
-    "held": "Check at which rate the recorder samples this channel",
-    "noise": "Check the sensor's wiring and the recorder's filter",
-    "exchanged": "Check which column is which",
-    "stretched": "Check the unit of the time stamps, and the rate of the recorder",
-    "inconsistent": "Check both channels' columns and units",
-}
 
 
 def update_interval(values: FloatArray) -> float:
@@ -177,7 +137,7 @@ def _units(log: Log) -> Iterator[Finding]:
         word = _unit(channel, known)
         if word:
             text = f"looks like {word}: median {np.median(known):.4g} {channel.unit}"
-            yield finding(log, name, "unit", text)
+            yield Finding("unit", name, evidence=text, log=log.name)
 
 
 def _unit(channel: Channel, known: FloatArray) -> str:
@@ -235,11 +195,10 @@ def _stuck_air(log: Log) -> Iterator[Finding]:
 
 def _measurable(log: Log, name: str, start: int, stop: int) -> bool:
     """Whether an airspeed that stays below its threshold is contradicted by flight above it."""
-    limits = {"CAS_kt": _AIRBORNE_KT, "TAS_kt": _AIRBORNE_KT, "Mach": _AIRBORNE_MACH}
-    if name not in limits or log[name][start] > limits[name]:
+    if name not in _AIRBORNE or log[name][start] > _AIRBORNE[name]:
         return True
-    part = [log[other][start:stop] > 1.5 * limits[other] for other in limits if other != name
-            and other in log.channels]  # fmt: skip
+    others = [other for other in _AIRBORNE if other != name and other in log.channels]
+    part = [log[other][start:stop] > 1.5 * _AIRBORNE[other] for other in others]
     return any(float(np.mean(each)) > 0.5 for each in part)
 
 
@@ -261,13 +220,17 @@ def _moves(log: Log, name: str, start: int, stop: int) -> bool:
 
 def _stuck(log: Log, name: str, start: int, stop: int) -> Finding:
     text = f"stays at {log[name][start]:.4g} while others move"
-    return finding(log, name, "stuck", text, span_s=_span(log, start, stop))
+    start_s, end_s = _span(log, start, stop)
+    return Finding("stuck", name, start_s, end_s, evidence=text, log=log.name)
 
 
-def _span(log: Log, start: int, stop: int) -> tuple[float, float] | None:
+_Span = tuple[float, float] | tuple[None, None]
+
+
+def _span(log: Log, start: int, stop: int) -> _Span:
     """Times of rows `start:stop`; None where they are the whole log."""
     if stop - start > _WHOLE * len(log):
-        return None
+        return None, None
     return float(log.time_s[start]), float(log.time_s[stop - 1])
 
 
@@ -275,7 +238,8 @@ def _span(log: Log, start: int, stop: int) -> tuple[float, float] | None:
 # errors of instruments and of their position; what flights and weather differ by, for ISA.
 _MACH_TOLERANCE, _MACH_SHARE, _TAS_TOLERANCE, _TAT_TOLERANCE = 0.01, 0.025, 12.0, 6.0
 _ISA_TOLERANCE = 15.0  # K: half of the change of the deviation from ISA over one flight
-_AIRBORNE_KT, _AIRBORNE_MACH = 80.0, 0.13  # pitot pressure is too low to be measured below
+# Pitot pressure is too low to be measured below.
+_AIRBORNE = {"CAS_kt": 80.0, "TAS_kt": 80.0, "Mach": 0.13}
 _FAILED = 0.1  # share of the airborne samples from which on a relation fails
 _SCALES = (0.5, 2.0)
 _EXACT = 0.4  # part of the tolerances that a right conversion leaves
@@ -339,25 +303,27 @@ def _air(log: Log) -> Iterator[Finding]:
         yield from stopped
     elif len({name for name, *_ in mended}) == 1:
         name, kind, text = mended[0]
-        yield finding(log, name, kind, text)
+        yield Finding(kind, name, evidence=text, log=log.name)
     else:
         order = tuple(name for name in _AIR if name in accused)
         text = f"contradicts the other air data{_mach_ratio(log)}"
         if len(order) > 1:
             text = f"{' and '.join(order)} contradict each other{_mach_ratio(log)}"
-        span_s = _stretch(log, wrong, flies) if len(order) == 1 else None
-        partner = order[1] if len(order) > 1 else ""
-        yield finding(log, order[0], "inconsistent", text, span_s=span_s, partner=partner)
+        start_s, end_s = _stretch(log, wrong, flies) if len(order) == 1 else (None, None)
+        yield Finding(
+            "inconsistent", order[0], start_s, end_s,
+            evidence=text, partner=order[1] if len(order) > 1 else "", log=log.name,
+        )  # fmt: skip
 
 
-def _stretch(log: Log, wrong: BoolArray, flies: BoolArray) -> tuple[float, float] | None:
+def _stretch(log: Log, wrong: BoolArray, flies: BoolArray) -> _Span:
     """The stretch that holds all that is wrong, if most of it is, and flight goes on outside."""
     rows = np.flatnonzero(wrong)
     inside = slice(rows[0], rows[-1] + 1)
     mostly = np.mean(wrong[inside][flies[inside]]) > _EXPLAINED
     outside = flies.sum() - flies[inside].sum()
     if not mostly or outside < _FAILED * flies.sum():
-        return None
+        return None, None
     return _span(log, int(rows[0]), int(rows[-1]) + 1)
 
 
@@ -391,7 +357,7 @@ def _mach_ratio(log: Log) -> str:
     if not {"CAS_kt", "ALT_ft", "Mach"} <= log.channels.keys():
         return ""
     expected = mach_of_cas(log["CAS_kt"], log["ALT_ft"])
-    flies = expected > _AIRBORNE_MACH
+    flies = expected > _AIRBORNE["Mach"]
     if not flies.any():
         return ""
     ratio = float(np.nanmedian(log["Mach"][flies] / expected[flies]))
@@ -429,6 +395,5 @@ def _relations(channels: Mapping[str, FloatArray]) -> Iterator[tuple[Relation, F
 
 def _airborne(log: Log) -> BoolArray:
     """Samples in which any airspeed shows a flight: one of them may be at fault."""
-    limits = {"CAS_kt": _AIRBORNE_KT, "TAS_kt": _AIRBORNE_KT, "Mach": _AIRBORNE_MACH}
-    flying = [log[name] > limit for name, limit in limits.items() if name in log.channels]
+    flying = [log[name] > limit for name, limit in _AIRBORNE.items() if name in log.channels]
     return np.any(flying, axis=0) if flying else np.ones(len(log), dtype=np.bool_)

@@ -108,14 +108,12 @@ class Prepared:
         return tuple(LogWarning(self.log.name, kind, text) for kind, text in found.items() if text)
 
 
-def prepare(
-    logs: Sequence[Log], tables: Preparation | None = None, outputs: Sequence[str] = ()
-) -> list[Prepared]:
+def prepare(logs: Sequence[Log], tables: Preparation | None = None) -> list[Prepared]:
     """Leave out where the engine does not run, clean and smooth; the audit counts what changed."""
     wanted = tables or Preparation()
     running = map(checked, while_running(logs, wanted.running))
     ready = (smooth(of_cleaning(clean(log, wanted.clean)), wanted.smooth) for log in running)
-    return [Prepared(log, wanted, tuple(outputs)) for log in ready]
+    return [Prepared(log, wanted) for log in ready]
 
 
 def cautions(logs: Iterable[Log], tables: Preparation, outputs: Sequence[str] = ()) -> list[str]:

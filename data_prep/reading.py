@@ -16,9 +16,8 @@ import numpy as np
 
 from data_prep.config import LogsConfig
 from data_prep.csv_source import Counts
-from data_prep.flight import Flight, open_log
 from data_prep.log import Audit, Log, Source
-from data_prep.log_file import LogFile, Rows
+from data_prep.log_file import Flight, LogFile, Rows, open_log
 from data_prep.stamps import Passed, all_apart, clock_goes_on, ordered_rows, usual_interval
 from data_prep.stream import GridStream
 from narxcal.support.errors import DataError

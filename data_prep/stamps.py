@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 _MAX_DECIMALS = 7
 _BASELINES_ROWS = (256, 64, 16, 4)
-_DAY_S, _HOUR_S, _MINUTE_S = 86400.0, 3600.0, 60.0
+DAY_S, _HOUR_S, _MINUTE_S = 86400.0, 3600.0, 60.0
 _LATEST_S = 1e11  # later than any clock that counts seconds
 _SHARED = 1.5  # rows per stamp, at least, where the clock is coarser than the rows
 MIDNIGHT = "clock starts anew at midnight"  # why stamps are moved by whole days
@@ -67,37 +67,18 @@ class Passed(NamedTuple):
 _NOTHING = Passed()
 
 
-def past_midnight(
-    stamps: FloatArray, before_s: float = np.nan, days: int = 0
-) -> tuple[FloatArray, int]:
-    """Continue the seconds of the day past midnight, where the clock starts anew.
-
-    `before_s` is the last stamp before these, `days` after the first. Returns the stamps with the
-    days that have passed, and their number at the end. Other stamps stay as they are: a clock
-    passes midnight only from the last minute of a day to the first of one, and back for a row that
-    comes late.
-    """
-    return _past(_DAY_S, np.inf, stamps, (before_s, days))
-
-
-def past_full_hour(
-    stamps: FloatArray, max_gap_s: float, before_s: float = np.nan, hours: int = 0
-) -> tuple[FloatArray, int]:
-    """Continue minutes and seconds past the full hour, where the clock starts anew.
-
-    As `past_midnight`, with hours for days, but only where nothing is missing: the clock jumps from
-    the last minute of an hour to the first of one, and the step that this makes is forward and no
-    gap, at most `max_gap_s`. Any other way back is another recording.
-    """
-    return _past(_HOUR_S, max_gap_s, stamps, (before_s, hours))
-
-
-def _past(
-    period_s: float, max_gap_s: float, stamps: FloatArray, so_far: tuple[float, int]
+def past(
+    period_s: float,
+    stamps: FloatArray,
+    so_far: tuple[float, int] = (np.nan, 0),
+    max_gap_s: float = np.inf,
 ) -> tuple[FloatArray, int]:
     """Add the periods that have passed to the stamps of a clock that starts anew each period.
 
-    `so_far` is the last stamp before these, and how many periods had passed then.
+    `so_far` is the last stamp before these, and how many periods had passed then. Returns the
+    stamps, and how many have passed at their end. A clock passes midnight, or the full hour, only
+    from the last minute of a period to the first of one, and back for a row that comes late; and
+    only where the step that this makes is at most `max_gap_s`. Other stamps stay as they are.
     """
     before_s, times = so_far
     known = (stamps >= 0.0) & (stamps <= period_s)
@@ -119,14 +100,15 @@ def clock_goes_on(
 ) -> tuple[FloatArray, Passed, tuple[AuditEntry, AuditEntry]]:
     """Continue a clock past midnight and, if it shows no hours, past each full hour.
 
-    Returns the stamps, what has passed at their end, and the audit entries of the rows moved. A
-    column of seconds that goes back to 0 is another recording.
+    The latter only where nothing is missing; a column of seconds that goes back to 0 is another
+    recording. Returns the stamps, what has passed at their end, and the audit entries of the rows
+    moved.
     """
     going_on, hours = stamps, passed.hours
     if passed.hourly:
-        since = before_s - passed.days * _DAY_S
-        going_on, hours = past_full_hour(stamps, max_gap_s, since, hours)
-    daily, days = past_midnight(going_on, before_s, passed.days)
+        since = before_s - passed.days * DAY_S
+        going_on, hours = past(_HOUR_S, stamps, (since, hours), max_gap_s)
+    daily, days = past(DAY_S, going_on, (before_s, passed.days))
     entries = (
         AuditEntry("*", "repaired", FULL_HOUR, int((going_on > stamps).sum())),
         AuditEntry("*", "repaired", MIDNIGHT, int((daily > going_on).sum())),

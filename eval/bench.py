@@ -34,7 +34,7 @@ from eval.benchmarks import (
 from eval.terminal import plain_table
 from narxcal.support.errors import NarxcalError
 from narxcal.support.files import to_json, versions
-from training.redundancy import Priors
+from training.scatter import Priors
 
 SCHEMA = "narxcal.bench/1"
 _SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"

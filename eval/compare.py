@@ -27,7 +27,6 @@ from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import DataError
 from narxcal.support.files import finite, versions
 from training.baselines import Baselines
-from training.screening import masked
 
 SCHEMA = "narxcal.compare/1"
 _NAMES = {STEADY_STATE: "steady state", FIRST_ORDER: "first-order lag", ARX: "ARX"}
@@ -236,7 +235,7 @@ def compare_runs(runs: Sequence[Run]) -> Comparison:
 
 def _free_run(run: Run, name: str) -> FreeRun:
     log = next(log for log in run.logs if log.name == name)
-    return run_log(run.bundle, run_config(run.bundle)[0], masked(log), log, one_step=False)
+    return run_log(run.bundle, run_config(run.bundle)[0], log.without_faults(), log, one_step=False)
 
 
 def _recording(found: Mapping[str, FreeRun], lead: Run) -> Recording:

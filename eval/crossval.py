@@ -31,7 +31,7 @@ from training.crossval import (
     random_splits,
     run_plans,
 )
-from training.screening import by_each_other
+from training.masking import by_each_other
 
 SCHEMA = "narxcal.crossval/1"
 REMARKS = {

@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import Field
 
 from data_prep.events import Event, find_events
-from data_prep.fragments import joined
+from data_prep.grid import joined
 from data_prep.identity import Identity, Shared, first_shared
 from data_prep.log import Finding, Log, Source
 from data_prep.plausibility import unchecked_air
@@ -72,7 +72,7 @@ from training.crossval import CrossvalConfig
 from training.levels import LEAST_LOGS, LevelCheck, checks, words
 from training.records import split_logs
 from training.redundancy import Bank
-from training.screening import masked, screened
+from training.screening import screened
 
 SCHEMA = "narxcal.evaluate/1"
 NEW = "new"
@@ -221,7 +221,7 @@ def assess_log(
     config, _ = run_config(bundle)
     outputs = bundle.calibration.output_names
     recorded = with_outputs(log, outputs)
-    log = masked(recorded)
+    log = recorded.without_faults()
     role, shared = role_of(bundle, recorded)
     run = run_log(bundle, config, log, recorded)
     if events is None:
@@ -633,7 +633,7 @@ def file_findings(bundle: Bundle, file: Path) -> tuple[Finding, ...]:
     logs = evaluation_logs(bundle, [file])
     found = tuple(each for log in logs for each in log.findings)
     for log in logs:
-        after = masked(log)
+        after = log.without_faults()
         for name in bundle.calibration.input_names:
             if name in log.channels and log.recorded([name]) and not after.recorded([name]):
                 why = next(each for each in log.findings if name in each.channels)

@@ -26,7 +26,7 @@ from urllib.parse import quote
 
 from pydantic import Field, field_validator
 
-from data_prep.parquet_source import arrow
+from data_prep.binary_source import arrow
 from eval.evaluate import EvaluateConfig, assess_log, evaluation_logs, run_config
 from eval.fleet_rows import DUPLICATE, FAILED, TABLES, Row, as_tables, not_evaluated, rows_of
 from narxcal.calibration.bundle import Bundle, load_bundle

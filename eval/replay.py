@@ -18,8 +18,8 @@ from pydantic import Field
 from data_prep.config import LogsConfig
 from data_prep.csv_source import Pace
 from data_prep.faults import out_of_range
-from data_prep.flight import open_log
 from data_prep.log import Finding
+from data_prep.log_file import open_log
 from narxcal.calibration.fuser import FastFuser
 from narxcal.calibration.fuser_config import FuserConfig
 from narxcal.calibration.noise import MIN_SAMPLES, STORED, NoiseModel, estimate_noise

@@ -60,34 +60,22 @@ _TABLE = (
 CHANNELS: dict[str, Channel] = {channel.name: channel for channel in _TABLE}
 SPOOLS = ("N1_pct", "N2_pct")
 
-# How the name of a channel ends in each unit; one without a unit has no ending.
-ENDINGS = {
-    "pct": "%",
-    "rpm": "rpm",
-    "kW": "kW",
-    "Nm": "Nm",
-    "kN": "kN",
-    "kPa": "kPa",
-    "C": "degC",
-    "kgph": "kg/h",
-    "deg": "deg",
-    "A": "A",
-    "V": "V",
-}
-_QUANTITIES = {
-    "%": "percentage",
-    "rpm": "rotational speed",
-    "kW": "power",
-    "Nm": "torque",
-    "kN": "force",
-    "kPa": "pressure",
-    "degC": "temperature",
-    "kg/h": "mass flow",
-    "deg": "angle",
-    "A": "current",
-    "V": "voltage",
-    "-": "ratio",
-}
+# How the name of a channel ends, in which unit, and what it measures; a ratio has no ending.
+_MEASURES = (
+    ("pct", "%", "percentage"),
+    ("rpm", "rpm", "rotational speed"),
+    ("kW", "kW", "power"),
+    ("Nm", "Nm", "torque"),
+    ("kN", "kN", "force"),
+    ("kPa", "kPa", "pressure"),
+    ("C", "degC", "temperature"),
+    ("kgph", "kg/h", "mass flow"),
+    ("deg", "deg", "angle"),
+    ("A", "A", "current"),
+    ("V", "V", "voltage"),
+)
+ENDINGS = {end: unit for end, unit, _ in _MEASURES}
+_QUANTITIES = {"-": "ratio", **{unit: quantity for _, unit, quantity in _MEASURES}}
 
 # Names in use elsewhere: abbreviations of ARINC 429, AGARD and recorders, and words in full.
 FIELD_NAMES: dict[str, tuple[str, ...]] = {

@@ -1,7 +1,11 @@
-"""Records: inputs and outputs of uninterrupted recordings, as models are fitted to them."""
+"""Records: inputs and outputs of uninterrupted recordings, as models are fitted to them.
+
+Columns of data frames and entries of labelled rows are taken by their names.
+"""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias, TypeGuard
@@ -11,7 +15,6 @@ from numpy.typing import ArrayLike
 
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
-from narxcal.support.tables import labels, positions
 
 LARGEST = 1e100  # squares, and sums of 1e100 of them, stay below the largest float64, 1.8e308
 
@@ -233,3 +236,47 @@ def check_records(records: Sequence[Record], longer_than: int) -> tuple[int, int
                 hint="Leave this record out, or join it to the one that it was cut from",
             )
     return inputs, outputs
+
+
+def labels(values: ArrayLike) -> tuple[str, ...]:
+    """Names of the columns of a table or of the entries of a pandas Series; () where none are text.
+
+    Numbers are positions, not names: pandas gives them to a table without names.
+    """
+    found = getattr(values, "columns", None)
+    if found is None:
+        index = getattr(values, "index", ())
+        found = () if callable(index) else index  # a list has a method of this name
+    return tuple(map(str, found)) if any(isinstance(each, str) for each in found) else ()
+
+
+def positions(found: Sequence[str], names: Sequence[str], file: str | None = None) -> list[int]:
+    """Positions of `names` among the labels `found`.
+
+    Raises `DataError` for a name that is missing, unknown or there twice.
+    """
+    expected = f"expected the columns {', '.join(names)}"
+    for name, times in Counter(found).items():
+        if name not in names:
+            raise DataError(f"unknown column; {expected}", file=file, channel=name)
+        if times > 1:
+            raise DataError(f"the column is there {times} times", file=file, channel=name)
+    for name in names:
+        if name not in found:
+            raise DataError(
+                f"the column is missing; {expected}, found {', '.join(found)}",
+                file=file,
+                channel=name,
+            )
+    return [found.index(name) for name in names]
+
+
+def by_name(values: ArrayLike, names: Sequence[str]) -> ArrayLike:
+    """`values` with the last axis in the order of `names`, where both have names.
+
+    Arrays, and models without names, take columns by position. Raises as `positions`.
+    """
+    found = labels(values)
+    if not found or not names:
+        return values
+    return np.asarray(values)[..., positions(found, names)]

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 import pytest
+from hypothesis import settings
 
 from narxcal.atmosphere import air_state
 from narxcal.export import ExportOptions, Grid, export_table
@@ -23,6 +24,10 @@ from narxcal.flight_test.scenario import FlightScenario
 from narxcal.steady.function import SteadyCallable
 from narxcal.turbofan import VirtualEngine
 from narxcal.turbofan.engine import INPUT_NAMES
+
+# A busy machine is no failure.
+settings.register_profile("patient", deadline=None)
+settings.load_profile("patient")
 
 # The shortest flight there is; a piece begins on the initial climb, where the lever is busy.
 WHOLE_S, FROM_S = 480.0, 40.0

@@ -22,6 +22,7 @@ from narxcal.record import (
     Record,
     RecordLike,
     as_records,
+    by_name,
     check_measured,
     check_records,
     columns,
@@ -30,7 +31,6 @@ from narxcal.record import (
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, DataError, ModelError
 from narxcal.support.settings import Section
-from narxcal.support.tables import by_name
 from training.choice import Choice, Limits, choose
 from training.config import TrainConfig
 from training.estimator_folder import TIME_LIMIT_S, Stored, Structure, load, save

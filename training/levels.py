@@ -160,7 +160,8 @@ def delay_of(a: FloatArray, b: FloatArray, dt_s: float) -> float:
     """Delay of signal `a` (time,) behind `b` in s; NaN where they are not correlated."""
     size = max(1, round(DELAY_STEP_S / dt_s))
     count = len(a) // size * size
-    rates = [_rates(block_means(each[:count], size), size * dt_s) for each in (a, b)]
+    means = [known_mean(each[:count].reshape(-1, size), axis=1) for each in (a, b)]
+    rates = [_rates(each, size * dt_s) for each in means]
     return _delay(rates[0], rates[1], size * dt_s)
 
 
@@ -194,8 +195,3 @@ def _peak(a: FloatArray, b: FloatArray, reach: int) -> tuple[float, float]:
     left, top, right = near[best - 1 : best + 2]
     bend = left - 2.0 * top + right
     return best - reach + (0.5 * (left - right) / bend if bend < 0.0 else 0.0), float(top)
-
-
-def block_means(values: FloatArray, size: int) -> FloatArray:
-    """Means (blocks,) of the finite samples of each `size`; NaN where there are none."""
-    return known_mean(values.reshape(-1, size), axis=1)

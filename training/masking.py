@@ -19,10 +19,51 @@ from narxcal.support.errors import DataError
 from training.config import RunConfig
 from training.outlying import Outlier
 from training.records import Split
-from training.redundancy import learn
-from training.screening import by_each_other, masked, screened
+from training.redundancy_fit import MOST_FOLDS, Pool, learn
+from training.scatter import PRIORS, Priors
+from training.screening import files_of, screened
 
 _LEAST_PART_S = 20.0  # shorter parts of a divided log show no response with its settling
+
+
+def by_each_other(
+    logs: Sequence[Log], channels: Sequence[str], priors: Priors = PRIORS
+) -> list[Log]:
+    """Return prepared training logs with the findings that the other recordings show.
+
+    `channels` are those of the model. A recording is a file, of many a group is left out at a time;
+    a single one is compared with itself, of which a stretch is not most. What the first pass masks
+    is not learned from in the second.
+    """
+    found, groups = list(logs), _groups(logs)
+    for _ in range(2):
+        known = [log.without_faults() for log in found]
+        after, pool = list(found), Pool.of(known, priors)
+        for own in groups:
+            bank = pool.bank(channels, own if len(groups) > 1 else ())
+            for k, log in zip(own, screened(bank, [logs[k] for k in own]), strict=True):
+                after[k] = log
+        done = [_spans(a) == _spans(b) for a, b in zip(after, found, strict=True)]
+        found = after
+        if all(done):
+            break
+    return found
+
+
+def _groups(logs: Sequence[Log]) -> list[list[int]]:
+    """Files that are left out together, at most `MOST_FOLDS` groups; of one file its engines."""
+    files = files_of(logs)
+    if len(files) == 1:
+        engines = [log.source.engine for log in logs]
+        files = [
+            [k for k, each in enumerate(engines) if each == one] for one in dict.fromkeys(engines)
+        ]
+    count = min(MOST_FOLDS, len(files))
+    return [[k for own in files[first::count] for k in own] for first in range(count)]
+
+
+def _spans(log: Log) -> set[tuple[str, float | None]]:
+    return {(each.channel, each.start_s) for each in log.findings if each.masks}
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,9 +124,9 @@ def learnable(split: Split, config: RunConfig, *, screen: bool = True) -> Learna
     if screen:
         train = by_each_other(train, (*outputs, *inputs))
         if validate:
-            bank = learn([masked(log) for log in train], (*outputs, *inputs))
+            bank = learn([log.without_faults() for log in train], (*outputs, *inputs))
             validate = screened(bank, validate)
-    usable = (tuple(map(masked, train)), tuple(map(masked, validate)))
+    usable = [tuple(log.without_faults() for log in logs) for logs in (train, validate)]
     found: list[tuple[Log, ...]] = []
     for before, after in zip((split.train, split.validate), usable, strict=True):
         pairs = zip(before, after, strict=True)
@@ -95,7 +136,8 @@ def learnable(split: Split, config: RunConfig, *, screen: bool = True) -> Learna
         raise _nothing_left(usable[0])
     return Learnable(
         Split(found[0], found[1], split.test),
-        *usable,
+        usable[0],
+        usable[1],
         (*split.train, *split.validate),
     )
 

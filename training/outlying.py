@@ -11,7 +11,7 @@ it determines alone (studentised residuals; Cook and Weisberg 1982, section 2.2)
     P_i / (1 - P_i) = q / (1 - q) k^-m exp(d_i / 2 (1 - 1 / k^2))
 
 for m outputs of n logs, with the scatter s_0 that engines of one type and their meters have, which
-counts as p logs (`training.redundancy`). Errors of one log are common to its outputs: Student's t
+counts as p logs (`training.levels`). Errors of one log are common to its outputs: Student's t
 (Lange, Little and Taylor 1989) gives the weights. P_i is the probability that log i is of the share
 q of logs with k times the scatter (Tukey's contaminated normal). Weights and fits are found in
 turn. Logs with P_i > 0.95 are left out where they are a minority: of two logs neither can be said

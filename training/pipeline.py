@@ -50,7 +50,7 @@ from training.masking import learnable
 from training.methods import TrainOptions, method_of
 from training.mixture import HeldRun
 from training.records import LEAST_WIDTHS, Split, split_logs
-from training.redundancy import learn
+from training.redundancy_fit import learn
 from training.steady_fit import SteadyQuality
 
 # Scatter of recordings of a fleet, as a share of the tolerance that level checks allow. Its prior

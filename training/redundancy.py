@@ -1,8 +1,8 @@
 """Analytical redundancy: each engine channel predicted from each other one, learned from the logs.
 
-`learn` fits one small model per ordered pair of engine channels to the training logs, in corrected
-values (`narxcal.atmosphere`), and measures what is left on logs that were left out. With x_i the
-corrected channel i in means of `STEP_S`, temperatures in K,
+A bank has one small model per ordered pair of engine channels, in corrected values
+(`narxcal.atmosphere`), fitted to training logs by `training.redundancy_fit`. With x_i the corrected
+channel i in means of `STEP_S`, temperatures in K,
 
     x^_ij = b_ij . phi(x_j, M, ln delta),   e_ij = (x_i - x^_ij) / d_i
     r_i   = what the e_ij of all sources j agree on: their median; of two the smaller one if both
@@ -13,7 +13,7 @@ three lags of itself, also times x_j, M and ln delta. A fault of channel k is in
 in r_k; of the sources of another channel it is one only, hence not in r_i (structured residuals;
 Gertler 1998, Fault Detection and Diagnosis in Engineering Systems, ch. 6).
 
-On a sound log r_i is a random effect of the log plus wander within it (`training.steps`).
+On a sound log r_i is a random effect of the log plus wander within it (`training.scatter`).
 """
 
 from __future__ import annotations
@@ -30,33 +30,25 @@ from data_prep.log import Log
 from narxcal.atmosphere import air_state, corrected_scale
 from narxcal.channels import CHANNELS
 from narxcal.steady.model import ALTERED
-from narxcal.support.arrays import BoolArray, FloatArray, IntArray, bridge_gaps, noise_level
+from narxcal.support.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    bridge_gaps,
+    known_mean,
+    noise_level,
+)
 from narxcal.support.errors import ModelError
 from narxcal.support.settings import read_stored
-from training.levels import DELAY_STEP_S, PRIOR_LOGS, block_means, delays_between
-from training.scatter import Scatter, ScatterPrior
-from training.steps import BLOCK_S, Blocks, StepPrior, heights
+from training.levels import DELAY_STEP_S, delays_between
+from training.scatter import BLOCK_S, PRIORS, Blocks, Priors, Scatter
 
 STEP_S = 1.0
-_LEAST_STEPS = 10  # of a log; fewer show no relation of channels
 _LAGS_S = (2.0, 8.0, 30.0)
-_RIDGE = 1e-4
 AIR = ("ALT_ft", "Mach", "dT_C")
-MOST_FOLDS = 6
-_ENGINE = frozenset({"output", "lever"})
 
 Values = Mapping[str, FloatArray]
-
-
-@dataclass(frozen=True)
-class Priors:
-    """What is known of a recorder before its logs: scatter of levels and delays, steps."""
-
-    scatter: ScatterPrior = field(default_factory=ScatterPrior)
-    steps: StepPrior = field(default_factory=StepPrior)
-
-
-PRIORS = Priors()
+Delays = Mapping[tuple[str, str], float]  # of a channel behind another one, in s
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +65,10 @@ class Signals:
         size = max(1, round(step_s / log.dt_s))
         count = len(log) // size
         names = [name for name in log.channels if name in CHANNELS]
-        values = {name: block_means(log[name][: count * size], size) for name in names}
+        values = {
+            name: known_mean(log[name][: count * size].reshape(count, size), axis=1)
+            for name in names
+        }
         time_s = log.time_s[: count * size].reshape(count, size).mean(axis=1)
         return cls(time_s, values, size * log.dt_s)
 
@@ -120,7 +115,7 @@ class Corrected:
         return corrected * self.scale[name] - self.offset[name]
 
 
-_FEATURES = 16
+FEATURES = 16
 
 
 def _features(z: FloatArray, air: Corrected, step_s: float) -> FloatArray:
@@ -146,7 +141,7 @@ class Bank:
     | `cells` | source -> cells in which the training logs have been |
     | `models` | target -> source -> coefficients b |
     | `level` | u of the logs that were left out |
-    | `steps` | octave -> heights of the strongest steps of these logs (`training.steps`) |
+    | `steps` | octave -> heights of the strongest steps of these logs (`training.scatter`) |
     | `stretch` | k -> (mean, scatter) of ln r(k), see `log_ratio` |
     | `delays`, `late` | mean delay in s, target -> source; how much later logs were |
     | `noise`, `updates` | largest noise level, and update interval in s, of each channel |
@@ -155,13 +150,13 @@ class Bank:
     | `priors` | what sound logs show in general; not stored, it is that of the version |
     """
 
-    channels: tuple[str, ...]
-    centre: Mapping[str, float]
-    spread: Mapping[str, float]
-    low: Mapping[str, float]
-    high: Mapping[str, float]
-    cells: Mapping[str, Sequence[Sequence[int]]]
-    models: Mapping[str, Mapping[str, tuple[float, ...]]]
+    channels: tuple[str, ...] = ()
+    centre: Mapping[str, float] = field(default_factory=dict)
+    spread: Mapping[str, float] = field(default_factory=dict)
+    low: Mapping[str, float] = field(default_factory=dict)
+    high: Mapping[str, float] = field(default_factory=dict)
+    cells: Mapping[str, Sequence[Sequence[int]]] = field(default_factory=dict)
+    models: Mapping[str, Mapping[str, tuple[float, ...]]] = field(default_factory=dict)
     level: Mapping[str, Sequence[float]] = field(default_factory=dict)
     steps: Mapping[str, Mapping[str, Sequence[float]]] = field(default_factory=dict)
     stretch: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -213,7 +208,7 @@ class Bank:
             and all(k.isdecimal() and seen for by in self.steps.values() for k, seen in by.items())
             and all(len(cell) == _CELL.size for each in self.cells.values() for cell in each)
             and all({*filter(is_measured, names - {i})} <= set(self.models[i]) for i in names)
-            and all(len(b) == _FEATURES for row in self.models.values() for b in row.values())
+            and all(len(b) == FEATURES for row in self.models.values() for b in row.values())
             and set(map(str, STRETCHES)) <= set(self.stretch)
         )
 
@@ -221,6 +216,10 @@ class Bank:
         """Corrected target (time,) by the model of one source."""
         found = design.phi[source] @ np.asarray(self.models[target][source])
         return np.asarray(found * self.spread[target] + self.centre[target])
+
+    def unit(self, name: str, expected: FloatArray) -> FloatArray:
+        """D (time,): half of what is expected of a channel, and half of its mean, corrected."""
+        return np.asarray(0.5 * np.maximum(expected, 0.0) + 0.5 * abs(self.centre[name]))
 
     def covers(self, design: Design, source: str) -> BoolArray:
         """Whether training logs have been in or next to the cell of each sample (time,)."""
@@ -256,7 +255,7 @@ class Bank:
 
     def lateness(self, found: Mapping[tuple[str, str], float], name: str) -> float:
         """By how much a channel is later than usual in s, as others agree; NaN of fewer than 2."""
-        return _excess(self.delays.get(name, {}), found, name)
+        return excess(self.delays.get(name, {}), found, name)
 
     @cached_property
     def usual(self) -> dict[str, float]:
@@ -268,7 +267,7 @@ class Bank:
         """Source -> codes of its cells and of those next to them, sorted."""
         seen = {name: np.asarray(each, dtype=np.int64) for name, each in self.cells.items()}
         return {
-            name: np.unique((_coded(each.reshape(-1, 3))[:, None] + _NEXT).ravel())
+            name: np.unique((codes_of(each.reshape(-1, 3))[:, None] + _NEXT).ravel())
             for name, each in seen.items()
         }
 
@@ -291,14 +290,13 @@ class Design:
             z = (air.x[name] - bank.centre[name]) / bank.spread[name]
             inside = np.clip(np.nan_to_num(bridge_gaps(z)), bank.low[name], bank.high[name])
             phi[name] = _features(inside, air, step_s or signals.step_s)
-            cells[name] = _coded(_cells(air, z))
+            cells[name] = codes_of(_cells(air, z))
         return cls(signals, air, phi, cells)
 
 
 # Cells of (source in its spread, Mach number, ln delta) in which, or next to which, training logs
 # have to have been: elsewhere the models extrapolate, and nothing is compared.
 _CELL = np.array([0.25, 0.06, 0.24])
-_LEAST_STAY_S = 10.0  # in a cell
 _CODE = np.array([9_000_000, 3_000, 1])
 _NEXT = (np.indices((3, 3, 3)).reshape(3, -1).T - 1) @ _CODE  # differences of codes
 
@@ -317,8 +315,7 @@ class Residuals:
 
     def scale(self, name: str) -> FloatArray:
         """Unit of r of a channel: d, corrected."""
-        expected = np.maximum(self.expected[name], 0.0)
-        return np.asarray(0.5 * expected + 0.5 * abs(self.bank.centre[name]))
+        return self.bank.unit(name, self.expected[name])
 
     def level(self, name: str) -> float:
         """U of a channel: the median of r; NaN where nothing can be compared."""
@@ -346,8 +343,8 @@ def compared(bank: Bank, design: Design) -> Residuals:
             expected[i] = agreed[i] = np.full(len(air.mach), np.nan)
             continue
         expected[i] = _middle(list(known.values()))
-        scale = 0.5 * np.maximum(expected[i], 0.0) + 0.5 * abs(bank.centre[i])
-        errors[i] = {j: np.where(testable[j], (air.x[i] - known[j]) / scale, np.nan) for j in known}
+        unit = bank.unit(i, expected[i])
+        errors[i] = {j: np.where(testable[j], (air.x[i] - known[j]) / unit, np.nan) for j in known}
         agreed[i] = agreement(list(errors[i].values()))
     return Residuals(bank, design.signals, channels, errors, expected, agreed, air)
 
@@ -388,12 +385,13 @@ def _cells(air: Corrected, z: FloatArray) -> IntArray:
     return np.asarray(np.clip(np.floor(found), -1000.0, 1000.0), dtype=np.int64)
 
 
-def _coded(cells: IntArray) -> IntArray:
+def codes_of(cells: IntArray) -> IntArray:
     """One number for each cell."""
     return np.asarray((cells + 1500) @ _CODE)
 
 
-def _decoded(codes: IntArray) -> IntArray:
+def cells_of(codes: IntArray) -> IntArray:
+    """Cells (cells, 3) by their numbers."""
     return np.stack([codes // base % 3000 - 1500 for base in _CODE], axis=-1)
 
 
@@ -408,301 +406,15 @@ def blocks_of(found: Residuals, name: str) -> Blocks:
     return Blocks(time_s, _middle(list(r[known].T)))
 
 
-def learn(logs: Sequence[Log], channels: Sequence[str], priors: Priors = PRIORS) -> Bank | None:
-    """Fit the bank to the engine channels that most of the prepared logs record.
-
-    `channels` are those of the model: the others support the comparison, and no fault of them is
-    reported. None where there are fewer than two. Each log is left out once to measure what is
-    left, of many logs groups of them; a single log is cut into halves.
-    """
-    return Pool.of(logs, priors).bank(channels)
-
-
-@dataclass(frozen=True, eq=False)
-class _Part:
-    """One log of a pool: its design and its moments.
-
-    `moments` are [phi y]' W [phi y] (source, target, 17, 17), with y the scaled target and W the
-    weights of the fit to all parts; `stays` is source -> samples in each of the pool's cells.
-    """
-
-    log: Log
-    design: Design
-    moments: FloatArray
-    stays: Mapping[str, IntArray]
-    delays: Mapping[tuple[str, str], float]
-
-
-@dataclass(frozen=True, eq=False)
-class Pool:
-    """Logs from which banks are learned, with any of them left out.
-
-    A bank follows from the sum of the normal equations of its logs, so that leaving one out is a
-    difference of sums; scaling and robust weights are those of all logs (downdating; Golub and Van
-    Loan 2013, section 6.5).
-    """
-
-    scaling: Bank  # without models; its cells are all in which a log has been
-    parts: tuple[_Part | None, ...]  # None for a log without information
-
-    @classmethod
-    def of(cls, logs: Sequence[Log], priors: Priors = PRIORS) -> Self:
-        """Prepare what does not depend on which logs are left out."""
-        usable = [_is_informative(log) for log in logs]
-        known = [log for log, one in zip(logs, usable, strict=True) if one]
-        names = _engine_channels(known)
-        if len(names) < 2:
-            return cls(Bank((), {}, {}, {}, {}, {}, {}), (None,) * len(logs))
-        scaling, designs = _scaled([Signals.of(log) for log in known], names)
-        scaling = replace(scaling, priors=priors)
-        found = iter(_parts(scaling, known, designs))
-        return cls(scaling, tuple(next(found) if one else None for one in usable))
-
-    def bank(self, channels: Sequence[str], without: Sequence[int] = ()) -> Bank | None:
-        """Learn the bank of all logs but those numbered `without`, as `learn` does."""
-        kept = [one for k, one in enumerate(self.parts) if one is not None and k not in without]
-        if not kept:
-            return None
-        parts = kept if len(kept) > 1 else _halves(self.scaling, kept[0])
-        left_out: list[Residuals] = []
-        shown: list[_Part] = []
-        ratios: dict[float, list[float]] = {k: [] for k in STRETCHES}
-        for fold in _folds(parts):
-            bank = self._fitted([one for one in parts if all(one is not each for each in fold)])
-            for one in fold:
-                found = compared(bank, one.design)
-                left_out.append(found)
-                shown.append(one)
-                for k in STRETCHES:
-                    ratios[k].append(log_ratio(found, k))
-        logs = [one.log for one in kept]
-        names, whole = self.scaling.channels, _longest(kept)
-        of_whole = [one for one, part in zip(left_out, shown, strict=True) if part in whole]
-        return replace(
-            self._fitted(kept),
-            level={name: _known([one.level(name) for one in of_whole]) for name in names},
-            steps={name: _heights([blocks_of(one, name) for one in left_out]) for name in names},
-            stretch={str(k): _mean_and_scatter(each) for k, each in ratios.items()},
-            delays=_mean_delays([one.delays for one in whole], names),
-            late=_lateness([one.delays for one in whole], names),
-            noise={
-                name: max(
-                    (noise_of(log, name) for log in logs if log.recorded([name])), default=0.0
-                )
-                for name in names
-            },
-            updates=_longest_updates(logs),
-            logs=len(whole),
-            used=tuple(name for name in names if name in channels),
-        )
-
-    def _fitted(self, parts: Sequence[_Part]) -> Bank:
-        names, step_s = self.scaling.channels, parts[0].design.signals.step_s
-        moments = np.sum([one.moments for one in parts], axis=0)
-        models: dict[str, dict[str, tuple[float, ...]]] = {name: {} for name in names}
-        for j, source in enumerate(names):
-            for i, target in enumerate(names):
-                if i != j:
-                    models[target][source] = tuple(_solved(moments[j, i]).tolist())
-        cells = {}
-        for name in names:
-            stayed = np.sum([one.stays[name] for one in parts], axis=0) * step_s >= _LEAST_STAY_S
-            cells[name] = np.asarray(self.scaling.cells[name])[stayed].tolist()
-        return replace(self.scaling, models=models, cells=cells)
-
-
-def _is_informative(log: Log) -> bool:
-    """Whether a log is long enough, and has samples of two engine channels."""
-    engine = tuple(name for name in CHANNELS if CHANNELS[name].role in _ENGINE)
-    enough = len(log) > 1 and len(log) * log.dt_s >= _LEAST_STEPS * STEP_S
-    return enough and len(log.recorded(engine)) > 1
-
-
-def _engine_channels(logs: Sequence[Log]) -> tuple[str, ...]:
-    """Outputs and levers that every log has, most with samples, and that move."""
-    return tuple(
-        name
-        for name in CHANNELS
-        if CHANNELS[name].role in _ENGINE
-        and all(name in log.channels for log in logs)
-        and 2 * sum(bool(log.recorded([name])) for log in logs) > len(logs)
-        and np.nanstd(np.concatenate([log[name] for log in logs])) > 0.0
-    )
-
-
-def _folds(parts: Sequence[_Part]) -> list[list[_Part]]:
-    """Parts that are left out together: recordings, or of a single one stretches of its time.
-
-    Parts next to each other in time are so alike that they say nothing of other recordings.
-    """
-    files: dict[str, list[_Part]] = {}
-    for one in parts:
-        files.setdefault(recording_of(one.log)[0], []).append(one)
-    groups = list(files.values())
-    if len(groups) == 1:
-        ordered = sorted(parts, key=lambda one: float(one.design.signals.time_s[0]))
-        size = -(-len(ordered) // MOST_FOLDS)
-        groups = [ordered[k : k + size] for k in range(0, len(ordered), size)]
-    count = min(MOST_FOLDS, len(groups))
-    return [[one for group in groups[k::count] for one in group] for k in range(count)]
-
-
-def _halves(scaling: Bank, whole: _Part) -> list[_Part]:
-    signals, middle = whole.design.signals, len(whole.design.signals.time_s) // 2
-    parts = [signals.part(slice(None, middle)), signals.part(slice(middle, None))]
-    designs = [Design.of(scaling, one, scaling.channels) for one in parts]
-    return _parts(scaling, [whole.log] * 2, designs)
-
-
-def _parts(scaling: Bank, logs: Sequence[Log], designs: Sequence[Design]) -> list[_Part]:
-    names, found = scaling.channels, []
-    for log, design, moments in zip(logs, designs, _moments(scaling, designs), strict=True):
-        stays = {}
-        for name in names:
-            codes = _coded(np.asarray(scaling.cells[name], dtype=np.int64).reshape(-1, 3))
-            own = design.cells[name][np.isfinite(_in_known_air(design.air, name))]
-            stays[name] = np.bincount(np.searchsorted(codes, own), minlength=len(codes))
-        found.append(_Part(log, design, moments, stays, delays_of(log, names)))
-    return found
-
-
-def _scaled(logs: Sequence[Signals], names: Sequence[str]) -> tuple[Bank, list[Design]]:
-    """A bank with the scaling of the channels and all cells, and the designs by it."""
-    air = [Corrected.of(one, names) for one in logs]
-    bank = Bank(tuple(names), {}, {}, {}, {}, {}, {})
-    centre, spread, low, high = {}, {}, {}, {}
-    for name in names:
-        x = np.concatenate([_in_known_air(one, name) for one in air])
-        x = x[np.isfinite(x)]
-        centre[name] = float(np.mean(x)) if len(x) else 0.0
-        spread[name] = max(float(np.std(x)), 1e-9) if len(x) else 1.0
-        ends = np.percentile(x, (0.1, 99.9)) - centre[name] if len(x) else np.zeros(2)
-        margin = 0.05 * float(np.ptp(ends))
-        low[name] = float(ends[0] - margin) / spread[name]
-        high[name] = float(ends[1] + margin) / spread[name]
-    bank = replace(bank, centre=centre, spread=spread, low=low, high=high)
-    designs = [Design.of(bank, one, names) for one in logs]
-    cells = {
-        name: _decoded(np.unique(np.concatenate([one.cells[name] for one in designs])))
-        for name in names
-    }
-    return replace(bank, cells={name: each.tolist() for name, each in cells.items()}), designs
-
-
-def _moments(scaling: Bank, designs: Sequence[Design]) -> list[FloatArray]:
-    """[phi y]' W [phi y] (source, target, 17, 17) of each design; see `_Part`."""
-    names = scaling.channels
-    x = {name: np.concatenate([_in_known_air(one.air, name) for one in designs]) for name in names}
-    ends = np.cumsum([0, *(len(one.air.mach) for one in designs)])
-    found = [np.zeros((len(names), len(names), _FEATURES + 1, _FEATURES + 1)) for _ in designs]
-    for j, source in enumerate(names):
-        phi = np.concatenate([one.phi[source] for one in designs])
-        for i, target in enumerate(names):
-            usable = np.isfinite(x[source]) & np.isfinite(x[target])
-            if i == j or usable.sum() < _FEATURES:
-                continue
-            y = np.where(usable, (x[target] - scaling.centre[target]) / scaling.spread[target], 0.0)
-            weight = np.zeros(len(y))
-            weight[usable] = robust_weights(phi[usable], y[usable])
-            rows = np.column_stack([phi, y]) * weight[:, None]
-            for own, start, stop in zip(found, ends, ends[1:], strict=False):
-                own[j, i] = rows[start:stop].T @ rows[start:stop]
-    return found
-
-
-def _in_known_air(air: Corrected, name: str) -> FloatArray:
-    """A channel where the air is known: elsewhere it was corrected by a guess."""
-    return np.where(air.known, air.x[name], np.nan)
-
-
-def robust_weights(phi: FloatArray, target: FloatArray) -> FloatArray:
-    """Soft-L1 weights of a ridge regression, by reweighting; roots of those of the squares."""
-    rows, weight = np.column_stack([phi, target]), np.ones(len(target))
-    for _ in range(3):
-        weighted = rows * weight[:, None]
-        error = target - phi @ _solved(weighted.T @ weighted)
-        spread = 1.4826 * float(np.median(np.abs(error))) + 1e-12
-        weight = 1.0 / np.sqrt(1.0 + (error / (2.0 * spread)) ** 2)
-    return weight
-
-
-def _solved(moments: FloatArray) -> FloatArray:
-    """Coefficients of the ridge regression with the moments [phi y]'[phi y], phi_0 = 1.
-
-    NaN where there are fewer samples than coefficients.
-    """
-    total = float(moments[0, 0])
-    if total < _FEATURES:
-        return np.full(_FEATURES, np.nan)
-    size = np.sqrt(np.diag(moments)[:-1] / total) + 1e-12
-    matrix = moments[:-1, :-1] / np.outer(size, size) + _RIDGE * total * np.eye(_FEATURES)
-    return np.asarray(np.linalg.solve(matrix, moments[:-1, -1] / size) / size)
-
-
-def _known(levels: Sequence[float]) -> list[float]:
-    return [each for each in levels if np.isfinite(each)]
-
-
-def _longest(parts: Sequence[_Part]) -> list[_Part]:
-    """The longest part of each recording of an engine: it stands for the recording as a whole."""
-    found: dict[tuple[str, str], _Part] = {}
-    for one in parts:
-        key = recording_of(one.log)
-        if key not in found or len(one.log) > len(found[key].log):
-            found[key] = one
-    return list(found.values())
-
-
 def recording_of(log: Log) -> tuple[str, str]:
     """File and engine, which parts of one recording have in common."""
     return log.source.file or log.name, log.source.engine
 
 
-Delays = Mapping[tuple[str, str], float]
-
-
-def _mean_delays(logs: Sequence[Delays], names: Sequence[str]) -> dict[str, dict[str, float]]:
-    table: dict[str, dict[str, float]] = {name: {} for name in names}
-    for i in names:
-        for j in names:
-            seen = [one[i, j] for one in logs if (i, j) in one]
-            if seen:
-                table[i][j] = float(np.mean(seen))
-    return table
-
-
-def _excess(usual: Mapping[str, float], found: Delays, name: str) -> float:
+def excess(usual: Mapping[str, float], found: Delays, name: str) -> float:
+    """By how much a channel is later than the `usual` s behind others, as these agree; else NaN."""
     parts = [np.array([found[name, j] - each]) for j, each in usual.items() if (name, j) in found]
     return float(agreement(parts)[0]) if len(parts) > 1 else float("nan")
-
-
-def _lateness(logs: Sequence[Delays], names: Sequence[str]) -> dict[str, list[float]]:
-    """By how much each channel of each log was later than in the others."""
-    found: dict[str, list[float]] = {name: [] for name in names}
-    for k, one in enumerate(logs):
-        usual = _mean_delays([*logs[:k], *logs[k + 1 :]], names)
-        for name in names:
-            found[name] += _known([_excess(usual[name], one, name)])
-    return found
-
-
-def _heights(logs: Sequence[Blocks]) -> dict[str, list[float]]:
-    """Octave -> largest heights of the logs that have stretches of such lengths."""
-    found: dict[str, list[float]] = {}
-    for one in logs:
-        for k, height in heights(one).items():
-            found.setdefault(str(k), []).append(height)
-    return found
-
-
-def _mean_and_scatter(values: Sequence[float]) -> tuple[float, float]:
-    """Mean of the finite values, and their scatter with the prior's."""
-    known = np.array([each for each in values if np.isfinite(each)])
-    if not len(known):
-        return 0.0, 1.0
-    mean = float(known.mean())
-    square = PRIOR_LOGS * _RATIO_PRIOR**2 + float(np.sum((known - mean) ** 2))
-    return mean, float(np.sqrt(square / (PRIOR_LOGS + len(known) - 1)))
 
 
 def delays_of(log: Log, names: Sequence[str]) -> dict[tuple[str, str], float]:
@@ -716,17 +428,8 @@ def noise_of(log: Log, name: str) -> float:
     return float(np.hypot(np.sqrt(log.noise.get(name, 0.0)), noise_level(log[name])))
 
 
-def _longest_updates(logs: Sequence[Log]) -> dict[str, float]:
-    names = {name for log in logs for name in log.recorded(tuple(log.updates))}
-    return {
-        name: max(log.updates.get(name, 0.0) for log in logs if log.recorded([name]))
-        for name in sorted(names)
-    }
-
-
 STRETCHES = (0.5, 2.0)
 _DYNAMIC_S, _MOVING = 150.0, 0.8
-_RATIO_PRIOR = 0.15  # scatter of ln r(k) between logs
 
 
 def log_ratio(found: Residuals, stretch: float) -> float:

@@ -1,14 +1,14 @@
 """Screen logs by the bank of `training.redundancy`: what is masked, and what is only reported.
 
 **Masked** is a stretch of one channel with a beginning or an end inside the log. It is at fault if
-its height is beyond the limit of sound logs (`training.steps`), while the rest of the log is within
-the scatter of levels between logs. What two channels show at the same time is a state of the engine
-and no fault, and so is what both engines of a file show, which share clock, air and manoeuvre
-(`training.redundancy.agreement` of r of one and of the difference). Levers are commands, which an
-engine may not follow: nothing is concluded from them.
+its height is beyond the limit of sound logs (`training.scatter`), while the rest of the log is
+within the scatter of levels between logs. What two channels show at the same time is a state of the
+engine and no fault, and so is what both engines of a file show, which share clock, air and
+manoeuvre (`training.redundancy.agreement` of r of one and of the difference). Levers are commands,
+which an engine may not follow: nothing is concluded from them.
 
 **Reported** is what the whole log disagrees in: its levels u and its delays are compared with their
-scatter between logs (`training.levels.Scatter`). Another unit or an exchange is named where it
+scatter between logs (`training.scatter.Scatter`). Another unit or an exchange is named where it
 makes the log sound, and is more likely than an error of one channel. The longest part of a
 recording stands for it. One stated rate of false alarms, `RATE_PER_H`, gives all thresholds.
 """
@@ -22,18 +22,14 @@ from itertools import combinations
 
 import numpy as np
 
-from data_prep.log import AuditEntry, Finding, Kind, Log
-from data_prep.plausibility import conversions, finding, sound_air
+from data_prep.log import Finding, Kind, Log
+from data_prep.plausibility import conversions, sound_air
 from narxcal.channels import CHANNELS, symbol
 from narxcal.support.arrays import BoolArray, FloatArray, spans
 from training.redundancy import (
     AIR,
-    MOST_FOLDS,
-    PRIORS,
     STRETCHES,
     Bank,
-    Pool,
-    Priors,
     Residuals,
     Signals,
     agreement,
@@ -46,12 +42,11 @@ from training.redundancy import (
     recording_of,
     residuals,
 )
-from training.steps import BLOCK_S, LEAST_STRETCH_S, Blocks, Step, strongest_step
+from training.scatter import BLOCK_S, LEAST_STRETCH_S, Blocks, Step, strongest_step
 
 RATE_PER_H = 0.01  # false alarms of each kind per hour of flight
 _MOST_STRETCHES = 6
 _BRIDGED_S, _FAR_BLOCKS = 60.0, 3  # so many blocks are no outliers
-_REASON = "fault: "
 _TELLING = 3  # measured channels from which on it can be said which of them is wrong
 _LEAST_TESTABLE = 0.1  # share of a log that has to be comparable for a finding about all of it
 
@@ -60,17 +55,13 @@ def screened(bank: Bank | None, logs: Sequence[Log]) -> list[Log]:
     """Return prepared logs with what the bank shows added to their findings."""
     if bank is None:
         return list(logs)
-    subjects = [_subject(bank, log, _mate(log, logs)) for log in logs]
-    whole = [_is_longest(log, logs) for log in logs]
-    found = [
-        _restored(one) if one is not None and all_ else ()
-        for one, all_ in zip(subjects, whole, strict=True)
-    ]
+    subjects = [_subject(bank, log, logs) for log in logs]
+    found = [() if one is None else _restored(one) for one in subjects]
     if not any(found):  # exchanged channels have other lags
         found = _stretched(bank, logs)
     found = [
-        more or (() if one is None else _examine(one, whole=all_))
-        for more, one, all_ in zip(found, subjects, whole, strict=True)
+        more or (() if one is None else _examine(one))
+        for more, one in zip(found, subjects, strict=True)
     ]
     return [
         replace(log, findings=(*log.findings, *more)) for log, more in zip(logs, found, strict=True)
@@ -79,65 +70,8 @@ def screened(bank: Bank | None, logs: Sequence[Log]) -> list[Log]:
 
 def _is_longest(log: Log, logs: Sequence[Log]) -> bool:
     """Whether a log is the longest part of its recording, which stands for it as a whole."""
-    own = [len(one) for one in logs if recording_of(one) == recording_of(log)]
-    return len(log) == max(own)
-
-
-def masked(log: Log) -> Log:
-    """Return the log with the stretches that its findings mask as NaN, and that counted."""
-    changed: dict[str, FloatArray] = {}
-    entries = []
-    for each in log.findings:
-        if not each.masks or each.channel not in log.channels:
-            continue
-        values = changed.get(each.channel, log.channels[each.channel]).copy()
-        inside = each.rows(log.time_s) & np.isfinite(values)
-        if inside.any():
-            values[inside] = np.nan
-            changed[each.channel] = values
-            count = int(inside.sum())
-            entries.append(AuditEntry(each.channel, "masked", f"{_REASON}{each.kind}", count))
-    return log.with_channels(changed, *entries) if changed else log
-
-
-def by_each_other(
-    logs: Sequence[Log], channels: Sequence[str], priors: Priors = PRIORS
-) -> list[Log]:
-    """Return prepared training logs with the findings that the other recordings show.
-
-    `channels` are those of the model. A recording is a file, of many a group is left out at a time;
-    a single one is compared with itself, of which a stretch is not most. What the first pass masks
-    is not learned from in the second.
-    """
-    found, groups = list(logs), _groups(logs)
-    for _ in range(2):
-        known = [masked(log) for log in found]
-        after, pool = list(found), Pool.of(known, priors)
-        for own in groups:
-            bank = pool.bank(channels, own if len(groups) > 1 else ())
-            for k, log in zip(own, screened(bank, [logs[k] for k in own]), strict=True):
-                after[k] = log
-        done = [_spans(a) == _spans(b) for a, b in zip(after, found, strict=True)]
-        found = after
-        if all(done):
-            break
-    return found
-
-
-def _groups(logs: Sequence[Log]) -> list[list[int]]:
-    """Files that are left out together, at most `MOST_FOLDS` groups; of one file its engines."""
-    files = _files(logs)
-    if len(files) == 1:
-        engines = [log.source.engine for log in logs]
-        files = [
-            [k for k, each in enumerate(engines) if each == one] for one in dict.fromkeys(engines)
-        ]
-    count = min(MOST_FOLDS, len(files))
-    return [[k for own in files[first::count] for k in own] for first in range(count)]
-
-
-def _spans(log: Log) -> set[tuple[str, float | None]]:
-    return {(each.channel, each.start_s) for each in log.findings if each.masks}
+    own = (len(one) for one in logs if recording_of(one) == recording_of(log))
+    return len(log) >= max(own, default=0)
 
 
 def _mate(log: Log, logs: Sequence[Log]) -> Log | None:
@@ -151,14 +85,23 @@ def _mate(log: Log, logs: Sequence[Log]) -> Log | None:
 
 @dataclass(frozen=True, eq=False)
 class _Subject:
-    """The log under examination; `signals` without what is masked so far."""
+    """The log under examination; `signals` without what is masked so far.
+
+    `mate` is the other engine of the flight; `whole`: the log stands for its recording as a whole.
+    """
 
     bank: Bank
     log: Log
     signals: Signals
     channels: tuple[str, ...]
     mate: Residuals | None
+    whole: bool
     findings: tuple[Finding, ...] = ()
+
+    @property
+    def sensed(self) -> list[str]:
+        """Channels that a sensor measures; a lever is commanded."""
+        return [name for name in self.channels if is_measured(name)]
 
     @property
     def hours(self) -> float:
@@ -173,7 +116,7 @@ class _Subject:
     @cached_property
     def limit(self) -> dict[str, float]:
         """Sizes beyond which levels are findings (Bonferroni over channels)."""
-        return {name: self.bank.scatter[name].limit(self.share) for name in _sensed(self)}
+        return {name: self.bank.scatter[name].limit(self.share) for name in self.sensed}
 
     @cached_property
     def step_limits(self) -> dict[str, dict[int, float]]:
@@ -201,18 +144,22 @@ class _Subject:
         return replace(self, signals=signals, findings=(*self.findings, found))
 
 
-def _subject(bank: Bank, log: Log, mate: Log | None) -> _Subject | None:
+def _subject(bank: Bank, log: Log, logs: Sequence[Log]) -> _Subject | None:
+    """The log among `logs`; None of a log that is too short, or has fewer than two channels."""
     lost = {each.channel for each in log.findings if each.kind == "unit" and not each.local}
     channels = tuple(name for name in bank.channels if log.recorded([name]) and name not in lost)
-    clean = masked(log)
+    clean = log.without_faults()
     signals = Signals.of(clean)
     if len(channels) < 2 or len(signals.time_s) * signals.step_s < 2.0 * LEAST_STRETCH_S:
         return None
-    other = None
+    mate, other = _mate(log, logs), None
     if mate is not None:
         shared = tuple(name for name in channels if mate.recorded([name]))
-        other = residuals(bank, Signals.of(masked(mate)), shared) if len(shared) > 1 else None
-    return _Subject(bank, clean, _without_air(log, signals), channels, other)
+        other = (
+            residuals(bank, Signals.of(mate.without_faults()), shared) if len(shared) > 1 else None
+        )
+    whole = _is_longest(log, logs)
+    return _Subject(bank, clean, _without_air(log, signals), channels, other, whole)
 
 
 def _without_air(log: Log, signals: Signals) -> Signals:
@@ -222,11 +169,11 @@ def _without_air(log: Log, signals: Signals) -> Signals:
     return signals.having(blank)
 
 
-def _examine(subject: _Subject, *, whole: bool) -> tuple[Finding, ...]:
+def _examine(subject: _Subject) -> tuple[Finding, ...]:
     """What the bank shows of one prepared log with its own clock, units and order of channels."""
-    found = [*_seldom(subject), *_noisy(subject), *_late(subject)] if whole else []
+    found = [*_seldom(subject), *_noisy(subject), *_late(subject)] if subject.whole else []
     # Of a channel with other dynamics all the log no stretch is at fault.
-    suspects = [n for n in _sensed(subject) if all(n != each.channel for each in found)]
+    suspects = [n for n in subject.sensed if all(n != each.channel for each in found)]
     for name in suspects:
         subject = _motionless(subject, name)
     for _ in range(_MOST_STRETCHES):
@@ -235,7 +182,7 @@ def _examine(subject: _Subject, *, whole: bool) -> tuple[Finding, ...]:
         if len(subject.findings) == before:
             break
     found = [*_alone(subject.findings), *found]
-    if whole and not any(each.kind in {"held", "late", "stuck"} for each in found):
+    if subject.whole and not any(each.kind in {"held", "late", "stuck"} for each in found):
         found += _level(subject)
     used = {*subject.bank.used, *AIR, "time_s"}
     return tuple(each for each in found if used & {*each.channels})
@@ -253,11 +200,6 @@ def _alone(findings: Sequence[Finding]) -> list[Finding]:
         return end_s - start_s > 0.5 * shorter
 
     return [one for one in findings if not any(overlap(one, each) for each in findings)]
-
-
-def _sensed(subject: _Subject) -> list[str]:
-    """Channels that a sensor measures; a lever is commanded."""
-    return [name for name in subject.channels if is_measured(name)]
 
 
 # ---------------------------------------------------------------- stretches
@@ -300,16 +242,18 @@ def _at_fault(subject: _Subject, name: str, blocks: Blocks, step: Step) -> list[
     wrong_level = levels[0] if abs(levels[0]) > abs(levels[1]) else levels[1]
     least = min(subject.step_limits[name].values())
     far = (blocks.r - right) * np.sign(wrong_level) > min(0.5 * abs(wrong_level - right), least)
-    return _joined([_extended(far, span) for span in spans(wrong)])
+    for start, stop in spans(wrong):
+        first, last = _extended(far, start, stop)
+        wrong[first:last] = True
+    return spans(wrong)
 
 
-def _extended(far: BoolArray, span: tuple[int, int]) -> tuple[int, int]:
-    """The span with what is far from the rest of the log next to it.
+def _extended(far: BoolArray, start: int, stop: int) -> tuple[int, int]:
+    """The span `start:stop` with what is far from the rest of the log next to it.
 
     Gaps of up to `_BRIDGED_S` are bridged: a sensor that fails before and after them is not
     believed within.
     """
-    start, stop = span
     reach = round(_BRIDGED_S / BLOCK_S)
     while True:
         first = max(start - reach, 0)
@@ -318,17 +262,6 @@ def _extended(far: BoolArray, span: tuple[int, int]) -> tuple[int, int]:
             return start, stop
         start = first + int(before[0]) if len(before) >= _FAR_BLOCKS else start
         stop = stop + int(after[-1]) + 1 if len(after) >= _FAR_BLOCKS else stop
-
-
-def _joined(parts: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
-    """The spans, those that touch as one."""
-    found: list[tuple[int, int]] = []
-    for start, stop in sorted(parts):
-        if found and start <= found[-1][1]:
-            found[-1] = found[-1][0], max(stop, found[-1][1])
-        else:
-            found.append((start, stop))
-    return found
 
 
 def _described(
@@ -349,10 +282,8 @@ def _described(
     text = f"{size:+.3g} {unit} against what {_listed(subject.channels, name)} say"
     level = float(np.median(np.abs(blocks.r[start:stop])))
     probability = _probability(subject, name, level)
-    return finding(
-        subject.log, name, kind, text, span_s=(first, last), size=(size, unit),
-        probability=max(probability, 1.0 - RATE_PER_H * max(subject.hours, 0.1)),
-    )  # fmt: skip
+    probability = max(probability, 1.0 - RATE_PER_H * max(subject.hours, 0.1))
+    return Finding(kind, name, first, last, size, unit, probability, text, log=subject.log.name)
 
 
 def _probability(subject: _Subject, name: str, level: float) -> float:
@@ -410,7 +341,7 @@ def _motionless(subject: _Subject, name: str) -> _Subject:
 
     A channel that is set in steps, as benches and simulators set it, may stay.
     """
-    if len(_sensed(subject)) < _TELLING or _in_steps(subject.log[name]):
+    if len(subject.sensed) < _TELLING or _in_steps(subject.log[name]):
         return subject
     found = residuals(subject.bank, subject.signals, subject.channels)
     size = round(_STILL_S / found.signals.step_s)
@@ -429,17 +360,17 @@ def _motionless(subject: _Subject, name: str) -> _Subject:
         seconds = (stop - start) * found.signals.step_s
         if seconds >= _LEAST_STILL_S:
             time_s, half = found.signals.time_s, 0.5 * found.signals.step_s
-            ends = float(subject.log.time_s[0]), float(subject.log.time_s[-1])
-            span_s = max(float(time_s[start]) - half, ends[0]), float(time_s[stop - 1]) + half
-            span_s = span_s[0], min(span_s[1], ends[1])
+            first = max(float(time_s[start]) - half, float(subject.log.time_s[0]))
+            last = min(float(time_s[stop - 1]) + half, float(subject.log.time_s[-1]))
             level = float(np.nanmedian(y[start:stop]))
             text = f"stays at {level:.4g} while {_listed(subject.channels, name)} move"
-            size_ = (level, CHANNELS[name].unit)
-            whole = stop - start > _MOSTLY * len(y)
-            place = None if whole else span_s
-            subject = subject.with_finding(
-                finding(subject.log, name, "stuck", text, span_s=place, size=size_)
-            )
+            one = Finding(
+                "stuck", name, first, last, level, CHANNELS[name].unit,
+                evidence=text, log=subject.log.name,
+            )  # fmt: skip
+            if stop - start > _MOSTLY * len(y):
+                one = replace(one, start_s=None, end_s=None)
+            subject = subject.with_finding(one)
     return subject
 
 
@@ -499,14 +430,19 @@ def _moving_spread(values: FloatArray, size: int) -> FloatArray:
 _SELDOM, _LEAST_UPDATE_S = 3.0, 0.5
 
 
+def _whole(log: Log, kind: Kind, name: str, text: str, size: tuple[float, str]) -> Finding:
+    """A finding about all of a log; `size` with its unit."""
+    return Finding(kind, name, size=size[0], unit=size[1], evidence=text, log=log.name)
+
+
 def _seldom(subject: _Subject) -> Iterator[Finding]:
     """Channels that change much more seldom than in the training logs."""
-    for name in _sensed(subject):
+    for name in subject.sensed:
         every_s = subject.log.updates.get(name, 0.0)
         usual_s = subject.bank.updates.get(name, 0.0)
         if every_s > max(_LEAST_UPDATE_S, _SELDOM * usual_s, _SELDOM * subject.log.dt_s):
             text = f"changes every {every_s:.2g} s only, every {usual_s:.2g} s in the training logs"
-            yield finding(subject.log, name, "held", text, size=(every_s, "s"))
+            yield _whole(subject.log, "held", name, text, (every_s, "s"))
 
 
 _NOISY = 6.0
@@ -514,13 +450,13 @@ _NOISY = 6.0
 
 def _noisy(subject: _Subject) -> Iterator[Finding]:
     """Channels with much more noise than in any training log, and more than their scatter."""
-    for name in _sensed(subject):
+    for name in subject.sensed:
         own, usual = noise_of(subject.log, name), subject.bank.noise.get(name, 0.0)
         matters = 0.5 * subject.bank.usual[name] * abs(subject.bank.centre[name])
         if own > max(_NOISY * usual, matters):
             unit = CHANNELS[name].unit
             text = f"noise of {own:.2g} {unit}, {usual:.2g} in the training logs"
-            yield finding(subject.log, name, "noise", text, size=(own, unit))
+            yield _whole(subject.log, "noise", name, text, (own, unit))
 
 
 _LEAST_DELAY_S = 0.4
@@ -539,7 +475,7 @@ def _late(subject: _Subject) -> Iterator[Finding]:
         name = max(late, key=lambda each: abs(late[each]))
         word = "late" if late[name] > 0.0 else "early"
         text = f"{abs(late[name]):.2g} s {word} against {_listed(subject.channels, name)}"
-        yield finding(subject.log, name, "late", text, size=(late[name], "s"))
+        yield _whole(subject.log, "late", name, text, (late[name], "s"))
 
 
 def _stretched(bank: Bank, logs: Sequence[Log]) -> list[tuple[Finding, ...]]:
@@ -550,9 +486,9 @@ def _stretched(bank: Bank, logs: Sequence[Log]) -> list[tuple[Finding, ...]]:
     is stretched by k it is 1 / r(1/k) of these.
     """
     found: list[tuple[Finding, ...]] = [() for _ in logs]
-    for own in _files(logs):
-        subjects = [one for k in own if (one := _subject(bank, logs[k], None)) is not None]
-        if not subjects or min(len(_sensed(one)) for one in subjects) < _TELLING:
+    for own in files_of(logs):
+        subjects = [one for k in own if (one := _subject(bank, logs[k], ())) is not None]
+        if not subjects or min(len(one.sensed) for one in subjects) < _TELLING:
             continue
         hours = max(one.hours for one in subjects)
         shown = [residuals(bank, one.signals, one.channels) for one in subjects]
@@ -570,12 +506,13 @@ def _stretched(bank: Bank, logs: Sequence[Log]) -> list[tuple[Finding, ...]]:
                 times = max(stretch, 1.0 / stretch)
                 text = f"all responses are {times:g} times as {word} as in the training logs"
                 for k in own:
-                    found[k] = (finding(logs[k], "time_s", "stretched", text, size=(stretch, "")),)
+                    found[k] = (_whole(logs[k], "stretched", "time_s", text, (stretch, "")),)
                 break
     return found
 
 
-def _files(logs: Sequence[Log]) -> list[list[int]]:
+def files_of(logs: Sequence[Log]) -> list[list[int]]:
+    """Numbers of the logs of each file."""
     names = [log.source.file or log.name for log in logs]
     return [[k for k, each in enumerate(names) if each == name] for name in dict.fromkeys(names)]
 
@@ -601,8 +538,10 @@ def _restored(subject: _Subject) -> tuple[Finding, ...]:
     Where channels cannot be compared they may be beyond what training logs show; but a flight in
     air where no training log has been is not one in another unit of altitude or speed.
     """
+    if not subject.whole:
+        return ()
     before = _fit(subject, subject.signals)
-    comparable = len(before.levels) == len(_sensed(subject))
+    comparable = len(before.levels) == len(subject.sensed)
     if before.sound and comparable:
         return ()
     best: tuple[float, _Other | None] = _scaled(subject, before), None
@@ -610,15 +549,15 @@ def _restored(subject: _Subject) -> tuple[Finding, ...]:
         if not comparable and each.channel in AIR:
             continue
         after = _fit(subject, subject.signals.having(each.values))
-        least = len(before.levels) if comparable else len(_sensed(subject))
+        least = len(before.levels) if comparable else len(subject.sensed)
         gain = _log_likelihood(subject, after.levels)
         if after.sound and len(after.levels) >= least and gain > best[0]:
             best = gain, each
     one = best[1]
     if one is None:
         return ()
-    size = one.size, ""
-    return (finding(subject.log, one.channel, one.kind, one.text, size=size, partner=one.partner),)
+    found = _whole(subject.log, one.kind, one.channel, one.text, (one.size, ""))
+    return (replace(found, partner=one.partner),)
 
 
 def _scaled(subject: _Subject, fit: _Fit) -> float:
@@ -626,7 +565,7 @@ def _scaled(subject: _Subject, fit: _Fit) -> float:
 
     Nothing is left to say so where not all are comparable.
     """
-    if len(fit.levels) < len(_sensed(subject)):
+    if len(fit.levels) < len(subject.sensed):
         return -np.inf
     found = []
     for name, level in fit.levels.items():
@@ -647,7 +586,7 @@ class _Fit:
 def _fit(subject: _Subject, signals: Signals) -> _Fit:
     """No level and no stretch of a sound log is beyond its limit."""
     found, levels, sound = residuals(subject.bank, signals, subject.channels), {}, True
-    for name in _sensed(subject):
+    for name in subject.sensed:
         if np.mean(np.isfinite(found.agreed[name])) > _LEAST_TESTABLE:
             levels[name] = found.level(name)
             step = strongest_step(blocks_of(found, name), subject.step_limits[name])
@@ -661,13 +600,13 @@ def _log_likelihood(subject: _Subject, levels: Mapping[str, float]) -> float:
 
 def _others(subject: _Subject) -> Iterator[_Other]:
     values = subject.signals.values
-    for a, b in combinations(_sensed(subject), 2):
+    for a, b in combinations(subject.sensed, 2):
         if CHANNELS[a].unit == CHANNELS[b].unit:
             text = f"{symbol(a)} and {symbol(b)} fit the training logs when exchanged"
             yield _Other("exchanged", a, text, {a: values[b], b: values[a]}, b)
     sound = sound_air(subject.log)
     air = [name for name in ("ALT_ft", "Mach") if name in values and name not in sound]
-    for name in (*_sensed(subject), *air):
+    for name in (*subject.sensed, *air):
         for word, scale, offset in conversions(name) if subject.log.recorded([name]) else ():
             text = f"looks like {word}: median {np.nanmedian(subject.log[name]):.4g}"
             other = {name: scale * values[name] + offset}
@@ -676,7 +615,7 @@ def _others(subject: _Subject) -> Iterator[_Other]:
 
 def _level(subject: _Subject) -> list[Finding]:
     """The channel whose level is furthest beyond the scatter."""
-    if len(_sensed(subject)) < _TELLING:
+    if len(subject.sensed) < _TELLING:
         return []
     levels = _fit(subject, subject.signals).levels
     beyond = [name for name, level in levels.items() if abs(level) > subject.limit[name]]
@@ -684,8 +623,9 @@ def _level(subject: _Subject) -> list[Finding]:
         return []
     worst = min(beyond, key=lambda each: subject.bank.scatter[each].tail(levels[each]))
     probability = _probability(subject, worst, levels[worst])
-    found = residuals(subject.bank, subject.signals, subject.channels)
-    everywhere = np.ones(len(found.signals.time_s), dtype=np.bool_)
-    kind, size, unit = _kind(found, worst, everywhere)
+    shown = residuals(subject.bank, subject.signals, subject.channels)
+    everywhere = np.ones(len(shown.signals.time_s), dtype=np.bool_)
+    kind, size, unit = _kind(shown, worst, everywhere)
     text = f"{size:+.3g} {unit} against what {_listed(subject.channels, worst)} say"
-    return [finding(subject.log, worst, kind, text, size=(size, unit), probability=probability)]
+    found = _whole(subject.log, kind, worst, text, (size, unit))
+    return [replace(found, probability=probability)]

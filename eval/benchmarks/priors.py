@@ -1,6 +1,6 @@
 """Priors by the recorders, with each left out in turn: `python -m eval.benchmarks.priors`.
 
-`training.scatter.ScatterPrior` and `training.steps.StepPrior` are the most likely by what logs of
+`training.scatter.ScatterPrior` and `training.scatter.StepPrior` are the most likely by what logs of
 each recorder show that are left out of its bank. `training.steady_fit.SPREADS` is the root mean
 square of how far exponents of theta and delta are from similarity, as shares of the output's level:
 those of the steady state of all logs of each recorder that flies, in corrected parameters, blended
@@ -26,11 +26,11 @@ from eval.benchmarks.recorders import SETS, Recorder
 from narxcal.channels import channel, spools_of
 from narxcal.steady.fitted import RATIOS, Layout
 from narxcal.support.arrays import FloatArray
-from training.redundancy import PRIORS, Priors, is_measured, learn
-from training.scatter import ScatterPrior
-from training.screening import by_each_other, masked
+from training.masking import by_each_other
+from training.redundancy import is_measured
+from training.redundancy_fit import learn
+from training.scatter import PRIORS, Priors, ScatterPrior, StepPrior
 from training.steady_fit import SPREADS, SteadySamples, fit_steady_state
-from training.steps import StepPrior
 
 FLYING: Final = ("citation", "a321", "agtf30")
 
@@ -50,7 +50,7 @@ class Shown:
         names = (*config.narx.outputs, *config.steady_state.inputs)
         raw = [log for logs in recorder.recordings.values() for log in logs]
         logs = by_each_other([one.log for one in prepare(raw, config)], names)
-        bank = learn([masked(log) for log in logs], names)
+        bank = learn([log.without_faults() for log in logs], names)
         if bank is None:
             return cls({}, {}, {})
         levels = {name: each for name, each in bank.level.items() if is_measured(name)}

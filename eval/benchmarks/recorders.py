@@ -22,7 +22,7 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from data_prep.fragments import joined
+from data_prep.grid import joined
 from data_prep.log import Finding, Log, Source
 from data_prep.prepare import hold_inputs, prepare, with_outputs
 from data_prep.reading import read_logs, shared_interval_s
@@ -31,10 +31,12 @@ from eval.evaluate import Evaluation, bank_of, evaluate
 from narxcal.channels import channel
 from narxcal.support.errors import NarxcalError
 from training.config import RunConfig, load_config
+from training.masking import by_each_other
 from training.pipeline import calibrate
 from training.records import Split
-from training.redundancy import PRIORS, Priors, learn
-from training.screening import by_each_other, masked, screened
+from training.redundancy_fit import learn
+from training.scatter import PRIORS, Priors
+from training.screening import screened
 
 SETS: Final = ("citation", "a321", "jetcat", "test_cell", "micro_gas_turbine", "agtf30")
 _SLACK_S: Final = 5.0
@@ -142,13 +144,13 @@ def screening(
     raw = [one.log for one in prepare(train, config)]
     names = (*config.narx.outputs, *config.steady_state.inputs)
     training = by_each_other(raw, names, priors)
-    bank = learn([masked(log) for log in training], names, priors)
+    bank = learn([log.without_faults() for log in training], names, priors)
     others = screened(bank, [one.log for one in prepare(judged, config)])
     return [_screened(log, names) for log in (*training, *others)]
 
 
 def _screened(log: Log, names: Sequence[str]) -> Screened:
-    after, before = masked(log), log
+    after, before = log.without_faults(), log
     lost = {
         name: np.isfinite(before[name]) & ~np.isfinite(after[name])
         for name in names

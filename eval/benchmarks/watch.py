@@ -26,7 +26,7 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from data_prep.parquet_source import arrow
+from data_prep.binary_source import arrow
 from eval.fleet import DOCUMENT, SCHEMA, WORK_LIST
 from eval.fleet_rows import GOOD, Row, as_tables
 from eval.watch import Watch, watch

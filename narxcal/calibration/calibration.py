@@ -29,6 +29,7 @@ from narxcal.calibration.register import Parts, Register, Sample, stacked
 from narxcal.intervals import Band, HalfWidths
 from narxcal.lumped.engine import LumpedEngine
 from narxcal.narx.network import AT_START, NarxModel
+from narxcal.record import by_name
 from narxcal.steady.model import (
     ALTERED,
     Envelope,
@@ -37,7 +38,6 @@ from narxcal.steady.model import (
 from narxcal.steady.opening import steady_from_json, steady_to_json
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, DataError, ModelError
-from narxcal.support.tables import by_name
 
 _ROUNDING = 1e-9  # of weights that sum to one
 # Bounds may be infinite: an input without a range, an output without a clamp.

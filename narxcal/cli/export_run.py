@@ -27,7 +27,6 @@ from narxcal.support.files import (
     check_file,
     check_output_folder,
 )
-from training.screening import masked
 
 SCHEMA = "narxcal.export_run/1"
 # Rows of a proof, None where the file cannot be run here, and what else is said of it.
@@ -93,7 +92,7 @@ def _cases(
     for log in logs:
         own = log.source.engine
         if options.engine in {None, own}:
-            used = hold_inputs(masked(log), model.input_names)
+            used = hold_inputs(log.without_faults(), model.input_names)
             cases.append(proof.Case(log.name, own, used.matrix(model.input_names)))
     return cases
 

@@ -28,7 +28,7 @@ from narxcal.support.errors import ConfigError
 from narxcal.support.files import TIME_FORMAT, atomic_write_text, check_file, text_cell
 from training.config import RunConfig
 from training.pipeline import calibration_for
-from training.screening import masked, screened
+from training.screening import screened
 
 SCHEMA = "narxcal.simulate/1"
 
@@ -131,7 +131,7 @@ def read_inputs(bundle: Bundle, file: Path) -> list[Log]:
 
 def _simulated(calibration: Calibration, log: Log, interval: float | None) -> _Run:
     own = calibration_for(calibration, log)
-    used = masked(log)
+    used = log.without_faults()
     known = np.isfinite(used.matrix([name for name in own.input_names if name in used.channels]))
     log = hold_inputs(used, own.input_names)
     inputs = log.matrix(own.input_names)

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
+from narxcal.record import by_name
 from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import ModelError
 from narxcal.support.settings import Section
-from narxcal.support.tables import by_name
 
 Model = TypeVar("Model", bound="StorableSteadyState")
 Arrays = Mapping[str, NDArray[Any]]

@@ -32,16 +32,9 @@ class NarxcalError(Exception):
         super().__init__(self._message())
 
     def _message(self) -> str:
-        place = [
-            text
-            for text, known in (
-                (f"{self.file}", self.file is not None),
-                (f"channel {self.channel}", self.channel is not None),
-                (f"row {self.row}", self.row is not None),
-            )
-            if known
-        ]
-        head = f"{', '.join(place)}: " if place else ""
+        known = (("{}", self.file), ("channel {}", self.channel), ("row {}", self.row))
+        place = ", ".join(form.format(each) for form, each in known if each is not None)
+        head = f"{place}: " if place else ""
         tail = f". {self.hint}" if self.hint else ""
         return f"{head}{self.problem}{tail}"
 

@@ -60,7 +60,7 @@ def atomic_write_bytes(path: str | PathLike[str], data: bytes) -> None:
     """
     target = Path(path)
     if in_place(target):
-        with _reported(target), _openedin_place(target) as stream:
+        with _reported(target), _opened_in_place(target) as stream:
             stream.buffer.write(data)
         return
     recover(target)
@@ -89,7 +89,7 @@ def atomic_stream(path: str | PathLike[str], *, live: bool = False) -> Iterator[
     """
     target = Path(path)
     if in_place(target):
-        with _reported(target), _openedin_place(target) as stream:
+        with _reported(target), _opened_in_place(target) as stream:
             yield stream
         return
     part = target.with_name(f"{target.name}.part") if live else _temporary(target, "part")
@@ -423,7 +423,7 @@ def in_place(target: Path) -> bool:
 
 
 @contextmanager
-def _openedin_place(target: Path) -> Iterator[Any]:
+def _opened_in_place(target: Path) -> Iterator[Any]:
     if target == STDOUT:
         yield sys.stdout
         sys.stdout.flush()

@@ -11,7 +11,7 @@ from narxcal.calibration.certificate import certify
 from narxcal.support.errors import NarxcalError
 from tests.attack.test_pass import ENGINE
 from tests.fuzz import value_changed
-from training.redundancy import learn
+from training.redundancy_fit import learn
 
 CHANNEL = {
     "weights": {"network": 0.4, "arx": 0.6},

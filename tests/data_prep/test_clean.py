@@ -17,11 +17,6 @@ from data_prep.clean import (
     running_median,
 )
 from data_prep.log import Log
-from narxcal.support.errors import ConfigError
-
-# A busy machine is no failure.
-settings.register_profile("patient", deadline=None)
-settings.load_profile("patient")
 
 DT = 1 / 32
 METHODS = ["3-sigma", "grubbs"]
@@ -194,14 +189,3 @@ def test_cleaning_twice_masks_nothing_more():
 def test_disabled_cleaning_returns_the_log_itself():
     log = log_of(N1_pct=np.full(100, 999.0))
     assert clean(log, CleanConfig(enabled=False)) is log
-
-
-def test_config_errors_name_the_key():
-    with pytest.raises(ConfigError) as error:
-        CleanConfig.parse({"method": "4-sigma"}, file="a.toml")
-    assert str(error.value) == (
-        "a.toml: key 'method': Input should be '3-sigma' or 'grubbs', found '4-sigma'"
-    )
-    with pytest.raises(ConfigError) as error:
-        CleanConfig.parse({"faults": {"frozen": 3}}, file="a.toml")
-    assert str(error.value) == ("a.toml: unknown key 'faults.frozen'. Did you mean 'frozen_s'?")

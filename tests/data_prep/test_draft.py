@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from data_prep.air_data import units_that_agree
+from data_prep.derive import units_that_agree
 from data_prep.draft import draft
 from narxcal.atmosphere import KELVIN, SOUND_KT, isa
 from narxcal.support.errors import DataError
@@ -213,4 +213,4 @@ def test_the_headers_of_other_recorders_map_or_ask(file, engines, open_):
         pytest.skip("the measured flights are not here")
     found = draft([DATA / file])
     assert list(found.engines) == engines
-    assert {line.channel for line in found.lines if line.open} == open_
+    assert {line.channel for line in found.lines if OPEN in line.keys.values()} == open_

@@ -7,6 +7,7 @@ from data_prep.draft import draft
 from data_prep.prepare import prepare
 from data_prep.reading import read_logs
 from narxcal.atmosphere import KELVIN, isa
+from narxcal.support.settings import OPEN
 from tests.recorder import CODED, ENGINE, ROWS_HZ, write_export
 
 SAMPLES = 4  # by which an event may begin elsewhere: one sample of a lever at 4 Hz is missing
@@ -29,7 +30,7 @@ def export(tmp_path_factory, piece):
 
 def test_its_header_settles_every_column(export):
     found = draft([export[0] / "flight.csv"])
-    assert not [line for line in found.lines if line.open]
+    assert not [line for line in found.lines if OPEN in line.keys.values()]
     assert found.engines == {"engine1": "1", "engine2": "2"}
     assert found.unused == {}
 

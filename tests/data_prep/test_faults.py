@@ -19,10 +19,6 @@ from data_prep.faults import (
 from data_prep.log import Log
 from narxcal.channels import described
 
-# A busy machine is no failure.
-settings.register_profile("patient", deadline=None)
-settings.load_profile("patient")
-
 DT = 1 / 32
 COUNT = 9600
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from data_prep.config import LogsConfig
 from data_prep.csv_source import Pace
-from data_prep.flight import open_log
+from data_prep.log_file import open_log
 from data_prep.reading import read_logs
 from narxcal.support.errors import ConfigError, DataError
 
@@ -45,7 +45,7 @@ def read(folder, config):
     return read_logs(logs.resolve(folder), logs)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.lists(st.integers(5, 395), min_size=1, max_size=3, unique=True))
 def test_a_flight_that_was_cut_is_read_as_if_it_were_whole(tmp_path_factory, cuts):
     folder, table = tmp_path_factory.mktemp("cut"), recording()

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
 from data_prep.log import Log
 from data_prep.ranking import flight_table, is_strong, other_driver, pearson, ranked
 from narxcal.support.errors import DataError
-
-# A busy machine is no failure.
-settings.register_profile("patient", deadline=None)
-settings.load_profile("patient")
 
 
 def flight(seed=0, count=500, **more):

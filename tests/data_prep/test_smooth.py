@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from data_prep.log import Log
@@ -19,10 +19,6 @@ from data_prep.smooth import (
     white_noise,
 )
 from narxcal.support.errors import ConfigError, DataError
-
-# A busy machine is no failure.
-settings.register_profile("patient", deadline=None)
-settings.load_profile("patient")
 
 windows = st.integers(0, 12).map(lambda n: 2 * n + 1)
 

@@ -92,17 +92,29 @@ def test_a_unit_that_cannot_be_is_not_guessed(tmp_path, units, channel, why):
     )
 
 
-def test_engines_whose_units_differ_are_refused(tmp_path):
-    path = write(tmp_path, f"t,l_itt,r_itt\ns,degC,K\n{ROWS}")
-    both = LogsConfig.parse(
-        {
-            "columns": {"time_s": {"column": "t"}, "EGT_C": {"column": "{engine}itt"}},
-            "engines": {"left": "l_", "right": "r_"},
-        }
-    )
-    assert error_of(path, both) == (
-        "FILE: the row of units says 'degC' and 'K' of the engines' columns. "
-        "Set the unit of column '{engine}itt' in [logs.columns]"
+@pytest.mark.parametrize(
+    ("head", "column", "engines", "said"),
+    [
+        (
+            "t,l_itt,r_itt\ns,degC,K",
+            "{engine}itt",
+            ("l_", "r_"),
+            "row of units says 'degC' and 'K'",
+        ),
+        (
+            "t,itt 1 [degF],itt 2 [K]",
+            "itt {engine}",
+            ("1 [degF]", "2 [K]"),
+            "header says 'degF' and 'K'",
+        ),
+    ],
+)
+def test_engines_whose_units_differ_are_refused(tmp_path, head, column, engines, said):
+    columns = {"time_s": {"column": "t"}, "EGT_C": {"column": column}}
+    both = {"columns": columns, "engines": dict(zip(("left", "right"), engines, strict=True))}
+    assert error_of(write(tmp_path, f"{head}\n{ROWS}"), LogsConfig.parse(both)) == (
+        f"FILE: the {said} of the engines' columns. "
+        f"Set the unit of column '{column}' in [logs.columns]"
     )
 
 
@@ -110,9 +122,6 @@ def test_engines_whose_units_differ_are_refused(tmp_path):
 def test_a_unit_is_known_in_brackets_and_any_case(cell):
     assert named_unit(cell) == "kg/h"
     assert is_unit_text(cell)
-
-
-def test_names_of_columns_are_no_units():
     assert not is_unit_text("fan speed")
 
 
@@ -321,10 +330,17 @@ def test_a_workbook_names_the_extra_that_reads_it(tmp_path, monkeypatch):
     )
 
 
-def test_a_file_of_no_format_lists_the_readers_and_their_extras(tmp_path):
+@pytest.mark.parametrize(
+    "content",
+    [
+        codecs.BOM_UTF8 + bytes(range(1, 9)) + bytes(range(128, 256)),
+        b"ULog\x01\x12\x35 a, b\n" + b"\x89HDF\x0d\x0a\x1a\x0a" + bytes(range(256)) * 20,
+    ],
+)
+def test_a_file_of_no_format_lists_the_readers_and_their_extras(tmp_path, content):
     path = tmp_path / "log.csv"
-    path.write_bytes(codecs.BOM_UTF8 + bytes(range(1, 9)) + bytes(range(128, 256)))
-    assert error_of(path, config()) == (f"FILE: the file is no text. Formats are {READERS}")
+    path.write_bytes(content)
+    assert error_of(path, config()) == f"FILE: the file is no text. Formats are {READERS}"
 
 
 def test_minutes_and_seconds_are_a_clock_time_too(tmp_path):
@@ -333,12 +349,12 @@ def test_minutes_and_seconds_are_a_clock_time_too(tmp_path):
     np.testing.assert_allclose(log.time_s, 58.0 + np.arange(60) / 10)
 
 
-def minutes(tenths):
-    return f"{tenths // 600 % 60:02d}:{tenths / 10 % 60:04.1f}"
+def minutes_of(*tenths):
+    return [f"{each // 600 % 60:02d}:{each / 10 % 60:04.1f}" for each in tenths]
 
 
 def test_a_worksheet_s_clock_without_hours_goes_on_each_hour(tmp_path):
-    stamps = [minutes(k) for k in range(35_900, 72_100)]
+    stamps = minutes_of(*range(35_900, 72_100))
     stamps[99], stamps[100] = stamps[100], stamps[99]  # a row that comes late, just there
     rows = "".join(f"{stamp},{80 + k % 7},500\n" for k, stamp in enumerate(stamps))
     path = write(tmp_path, f"t,fan,itt\n{rows}")
@@ -355,39 +371,35 @@ def test_a_worksheet_s_clock_without_hours_goes_on_each_hour(tmp_path):
     np.testing.assert_allclose(live, log.time_s, atol=1e-6)
 
 
-@pytest.mark.parametrize("lost", [21, 600])
-def test_a_clock_without_hours_that_stood_at_the_hour_is_told_what_it_needs(tmp_path, lost):
-    stamps = [minutes(k) for k in (*range(35_980, 36_000), *range(lost, lost + 40))]
+SECOND = (
+    "It holds more than one recording: split the file there, or name the column that tells them "
+    "apart in [logs] instances"
+)
+WORKSHEET = (
+    "A worksheet that shows MM:SS.0 leaves the hours out: write HH:MM:SS.0; or, if it holds more "
+    "than one recording, split the file there"
+)
+
+
+@pytest.mark.parametrize(
+    ("stamps", "row", "ends_s", "hint"),
+    [
+        (minutes_of(*range(35_980, 36_000), *range(21, 61)), 21, "3599.9 s to 2.1", WORKSHEET),
+        (minutes_of(*range(35_980, 36_000), *range(600, 640)), 21, "3599.9 s to 60", SECOND),
+        ([f"{3595 + k / 10}" for k in range(50)] + ["0.0", "0.1"], 51, "3599.9 s to 0", WORKSHEET),
+        (
+            [f"23:58:{38 + k / 10:04.1f}" for k in range(20)]
+            + [f"00:00:0{k / 10}" for k in range(40)],
+            21,
+            "86319.9 s to 0",
+            SECOND,
+        ),
+    ],
+)
+def test_time_that_goes_back_is_a_second_recording(tmp_path, stamps, row, ends_s, hint):
     rows = "".join(f"{stamp},80,500\n" for stamp in stamps)
     assert error_of(write(tmp_path, f"t,fan,itt\n{rows}"), config()) == (
-        f"FILE, channel time_s, row 21: time goes back from 3599.9 s to {lost / 10:g} s. "
-        + (
-            "A worksheet that shows MM:SS.0 leaves the hours out: write HH:MM:SS.0; or, if it "
-            "holds more than one recording, split the file there"
-            if lost < 600
-            else "It holds more than one recording: split the file there, or name the column "
-            "that tells them apart in [logs] instances"
-        )
-    )
-
-
-def test_seconds_that_begin_anew_after_an_hour_are_a_second_recording(tmp_path):
-    stamps = [*np.arange(3595.0, 3600.0, 0.1), *np.arange(0.0, 5.0, 0.1)]
-    rows = "".join(f"{stamp:.1f},80,500\n" for stamp in stamps)
-    assert error_of(write(tmp_path, f"t,fan,itt\n{rows}"), config()).startswith(
-        "FILE, channel time_s, row 51: time goes back from 3599.9 s to 0 s. "
-    )
-
-
-def test_time_that_goes_back_is_a_second_recording(tmp_path):
-    stamps = [f"23:58:{38 + k / 10:04.1f}" for k in range(20)] + [
-        f"00:00:0{k / 10}" for k in range(40)
-    ]
-    rows = "".join(f"{stamp},80,500\n" for stamp in stamps)
-    assert error_of(write(tmp_path, f"t,fan,itt\n{rows}"), config()) == (
-        "FILE, channel time_s, row 21: time goes back from 86319.9 s to 0 s. "
-        "It holds more than one recording: split the file there, or name the column that tells "
-        "them apart in [logs] instances"
+        f"FILE, channel time_s, row {row}: time goes back from {ends_s} s. {hint}"
     )
 
 
@@ -439,16 +451,6 @@ def test_a_row_of_units_speaks_for_all_columns(tmp_path):
     (log,) = read_logs(path, bracketed())
     assert log.dt_s == pytest.approx(0.1)
     np.testing.assert_allclose(log["EGT_C"], 500.0 + np.arange(40) - 273.15)
-
-
-def test_engines_whose_brackets_differ_are_refused(tmp_path):
-    path = write(tmp_path, f"t,itt 1 [degF],itt 2 [K]\n{ROWS}")
-    source = {"time_s": {"column": "t"}, "EGT_C": {"column": "itt {engine}"}}
-    both = {"columns": source, "engines": {"left": "1 [degF]", "right": "2 [K]"}}
-    assert error_of(path, LogsConfig.parse(both)) == (
-        "FILE: the header says 'degF' and 'K' of the engines' columns. "
-        "Set the unit of column 'itt {engine}' in [logs.columns]"
-    )
 
 
 @pytest.mark.parametrize(
@@ -538,14 +540,6 @@ def test_a_separator_of_thousands_is_named_with_blanks_after_it(tmp_path):
     assert error_of(path, config()).endswith(
         "found '1,009.940 '. Write numbers without a separator of thousands"
     )
-
-
-def test_a_file_that_is_no_text_below_its_first_line_is_named_so(tmp_path):
-    path = tmp_path / "log.csv"
-    path.write_bytes(
-        b"ULog\x01\x12\x35 a, b\n" + b"\x89HDF\x0d\x0a\x1a\x0a" + bytes(range(256)) * 20
-    )
-    assert error_of(path, config()) == (f"FILE: the file is no text. Formats are {READERS}")
 
 
 @pytest.mark.parametrize(

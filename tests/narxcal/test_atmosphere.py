@@ -4,7 +4,7 @@ import importlib.util
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from narxcal.atmosphere import (
@@ -13,6 +13,7 @@ from narxcal.atmosphere import (
     T0_K,
     air_at,
     air_state,
+    cas_of_mach,
     corrected_scale,
     isa,
     mach_of_cas,
@@ -93,7 +94,6 @@ def test_inputs_broadcast_and_nan_stays_nan():
     assert np.isfinite(air.delta2[:, [0, 2]]).all()
 
 
-@settings(deadline=None)
 @given(alt_ft=st.floats(-1000.0, 80000.0), mach=st.floats(0.0, 0.9), dt_c=st.floats(-40.0, 40.0))
 def test_a_single_sample_has_the_air_of_many(alt_ft, mach, dt_c):
     air = air_state(alt_ft, mach, dt_c)
@@ -113,6 +113,11 @@ def test_a_single_sample_has_the_air_of_many(alt_ft, mach, dt_c):
 )
 def test_mach_of_a_calibrated_airspeed(cas_kt, alt_ft, mach):
     assert mach_of_cas(cas_kt, alt_ft) == pytest.approx(mach, abs=2e-3)
+
+
+@given(st.floats(0.0, 500.0), st.floats(-1000.0, 45_000.0))
+def test_airspeed_and_mach_are_each_others_inverse(cas_kt, alt_ft):
+    assert cas_of_mach(mach_of_cas(cas_kt, alt_ft), alt_ft) == pytest.approx(cas_kt, abs=1e-9)
 
 
 def test_at_sea_level_calibrated_is_true_airspeed():

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from narxcal.support.compiled import lag_share, lagged, ramp_lagged, slewed, table_value
@@ -29,7 +29,6 @@ def test_a_lag_covers_the_textbook_share_and_none_means_none():
     assert ramp_lagged(3.0, (1.0, 7.0), 0.0, 0.1) == 7.0
 
 
-@settings(deadline=None)  # the first example waits for the compiler
 @given(finite, finite, taus, st.floats(0.01, 1.0))
 def test_many_short_steps_are_one_long_step(y, target, tau, dt):
     short = y
@@ -38,7 +37,6 @@ def test_many_short_steps_are_one_long_step(y, target, tau, dt):
     assert short == pytest.approx(lagged(y, target, tau, dt), abs=1e-12)
 
 
-@settings(deadline=None)  # the first example waits for the compiler
 @given(finite, finite, finite, taus)
 def test_a_ramp_may_be_cut_anywhere(y, start, end, tau):
     middle = start + 0.3 * (end - start)
@@ -60,7 +58,6 @@ def test_a_slewing_lag_solves_its_differential_equation(target, dt):
     assert slewed(1.0, target, (tau, slew), dt) == pytest.approx(slow, abs=2e-4)
 
 
-@settings(deadline=None)  # the first example waits for the compiler
 @given(finite, finite, st.floats(0.0, 1.0), st.floats(0.1, 9.0))
 def test_slewing_keeps_its_limit_and_never_passes_its_target(y, target, tau, slew):
     moved = slewed(y, target, (tau, slew), 0.1) - y
@@ -74,7 +71,6 @@ def test_no_slew_limit_and_no_lag_is_the_target_itself():
     assert slewed(1.0, 5.0, (0.0, 10.0), 0.1) == pytest.approx(2.0)
 
 
-@settings(deadline=None)  # the first example waits for the compiler
 @given(st.floats(-5.0, 15.0))
 def test_a_table_is_read_as_numpy_reads_it(x):
     knots, values = np.array([0.0, 1.0, 4.0, 9.0]), np.array([2.0, -1.0, 5.0, 5.5])

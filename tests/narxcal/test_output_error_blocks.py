@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from narxcal.output_error.blocks import (
@@ -150,7 +150,6 @@ def test_substeps_of_a_nonlinear_governor_converge_with_the_second_order():
     assert errors[1] < errors[0] / 12.0
 
 
-@settings(deadline=None)
 @given(
     u=st.lists(st.floats(-10, 10), min_size=2, max_size=60),
     r=st.floats(0, 3),

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from narxcal import two_spool
@@ -164,7 +164,6 @@ def test_at_rest_it_stays_at_rest():
     np.testing.assert_allclose(found, steady, atol=1e-12)
 
 
-@settings(deadline=None)  # the first example compiles
 @given(st.floats(0.5, 3.0), st.floats(-1.0, 0.0))
 def test_it_comes_to_rest_where_it_is_asked_whatever_its_rotors_weigh(factor, air):
     steady = np.repeat(flown()[0][:, 30:31], 800, axis=1)
@@ -234,7 +233,6 @@ def slam(steps=600):
     return steady, np.zeros((1, steps)), start
 
 
-@settings(deadline=None)
 @given(st.floats(0.3, 3.0))
 def test_a_load_makes_slams_longer_and_chops_shorter_and_shifts_nothing(load):
     """What holds the speeds brings what a load takes: at rest there is no trace of it."""
@@ -311,7 +309,6 @@ def test_many_rows_are_each_alone():
         np.testing.assert_array_equal(found[row], alone[0])
 
 
-@settings(deadline=None)
 @given(st.floats(-100, 100), st.floats(0.1, 20))
 def test_a_soft_limit_passes_what_is_small_and_never_more_than_the_limit(demand, limit):
     found = soft(demand, limit)

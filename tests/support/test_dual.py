@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from narxcal.support.compiled import compiled
@@ -40,7 +40,6 @@ def values(a, b):
 NUMBERS = st.floats(0.2, 3.0)
 
 
-@settings(deadline=None)
 @given(a=NUMBERS, b=NUMBERS)
 def test_slopes_are_those_of_differences(a, b):
     if min(abs(a - b), abs(a * b - 1.0), abs(a - 0.5)) < 1e-4:

@@ -37,7 +37,7 @@ def names(parts):
     return [each.log for each in outliers(parts, LAYOUT, SteadyFitConfig())]
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(first=st.integers(0, 10_000), count=st.integers(3, 12))
 def test_engines_within_twice_their_scatter_are_not_accused(first, count):
     assert not names([samples(first + k) for k in range(count)])

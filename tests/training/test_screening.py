@@ -14,9 +14,11 @@ from data_prep.reading import read_logs
 from narxcal.atmosphere import KELVIN
 from narxcal.support.errors import ModelError
 from training.config import load_config
+from training.masking import by_each_other
 from training.pipeline import configured_files
-from training.redundancy import Bank, Pool, agreement, learn, robust_weights
-from training.screening import by_each_other, masked, screened
+from training.redundancy import Bank, agreement
+from training.redundancy_fit import Pool, learn, robust_weights
+from training.screening import screened
 
 DT_S = 0.2
 ROWS = 6000  # twenty minutes
@@ -117,7 +119,7 @@ def test_what_the_whole_log_disagrees_in_is_named_and_not_masked(bank, channel, 
     [log] = screened(bank, [with_fault(channel, change)])
     assert (channel, kind) in [(each.channel, each.kind) for each in log.findings]
     assert not any(each.local for each in log.findings if each.kind == kind)
-    assert np.isfinite(masked(log)[channel]).mean() > 0.9
+    assert np.isfinite(log.without_faults()[channel]).mean() > 0.9
 
 
 @pytest.mark.parametrize("seed", [40, 41])
@@ -162,7 +164,7 @@ def test_a_stretch_is_masked_where_it_is_and_the_rest_is_kept(bank, kind, change
     fuel[rows] = change(fuel[rows], rows)
     [found] = screened(bank, [log.with_channels({"FF_kgph": fuel})])
     assert {(one.channel, one.kind) for one in found.findings} == {("FF_kgph", kind)}
-    after = masked(found)
+    after = found.without_faults()
     lost = np.flatnonzero(~np.isfinite(after["FF_kgph"])) * DT_S
     assert lost[0] == pytest.approx(500.0, abs=12.0)
     assert lost[-1] == pytest.approx(800.0, abs=12.0)
@@ -196,7 +198,7 @@ def test_of_two_measured_channels_neither_is_masked():
     log = two(26)
     hot = log["EGT_C"] + np.where(np.arange(ROWS) > 3000, 200.0, 0.0)
     [found] = screened(bank, [log.with_channels({"EGT_C": hot})])
-    assert masked(found) is found
+    assert found.without_faults() is found
 
 
 def test_without_a_bank_nothing_is_added():
@@ -216,10 +218,10 @@ def test_training_logs_are_masked_by_what_they_show_against_themselves(count):
     fuel = logs[0]["FF_kgph"].copy()
     fuel[:1500] = 1.6 * fuel[:1500] + 40.0
     found = by_each_other([logs[0].with_channels({"FF_kgph": fuel}), *logs[1:]], names)
-    lost = np.flatnonzero(~np.isfinite(masked(found[0])["FF_kgph"])) * DT_S
+    lost = np.flatnonzero(~np.isfinite(found[0].without_faults()["FF_kgph"])) * DT_S
     assert lost[0] == pytest.approx(0.0, abs=12.0)
     assert lost[-1] == pytest.approx(300.0, abs=12.0)
-    assert all(masked(log) is log for log in found[1:])
+    assert all(log.without_faults() is log for log in found[1:])
 
 
 @pytest.mark.slow
@@ -232,7 +234,7 @@ def test_of_two_engines_of_one_real_flight_neither_is_masked():
     logs = [one.log for one in prepare(read_logs(files, config.logs), config)]
     found = by_each_other(logs, (*config.narx.outputs, *config.steady_state.inputs))
     assert len(found) == 2
-    assert all(masked(log) is log for log in found)
+    assert all(log.without_faults() is log for log in found)
 
 
 def slow_model(pool, target, source, kept):

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from training.steps import (
+from training.scatter import (
     BLOCK_S,
     LEAST_STRETCH_S,
     Blocks,
@@ -30,7 +30,7 @@ def slow_height(r, start, stop):
     return float(np.mean(r[inside]) - np.mean(r[~inside]))
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 10_000), count=st.integers(2 * LEAST, 90))
 def test_heights_are_among_those_of_all_stretches_and_the_strongest_is_one_of_them(seed, count):
     r = np.random.default_rng(seed).standard_normal(count)

@@ -1,4 +1,6 @@
-"""MATLAB and HDF5 files give the bits of their CSV twin."""
+"""Parquet, MATLAB, HDF5 and MDF files give the bits of their CSV twin."""
+
+import sys
 
 import numpy as np
 import pytest
@@ -6,7 +8,7 @@ from scipy.io import savemat
 
 from data_prep.config import LogsConfig
 from data_prep.reading import read_logs
-from narxcal.support.errors import NarxcalError
+from narxcal.support.errors import ConfigError, DataError, NarxcalError
 
 RNG = np.random.default_rng(3)
 TIME_S = np.arange(200) / 4
@@ -100,10 +102,21 @@ def mdf(path):
     path.with_suffix(".mf4").rename(path)
 
 
+def table(path, **columns):
+    """A Parquet file; the arrays are doubles, blank ones null."""
+    pa = pytest.importorskip("pyarrow", reason="the extra 'parquet' is not installed")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    columns = columns or {"t": TIME_S, **EVERY_ROW}
+    own = {name: pa.array(each, from_pandas=True) for name, each in columns.items()}
+    parquet.write_table(pa.table(own), path)
+    return path
+
+
 @pytest.mark.parametrize(
     ("write", "units"),
-    [(plain, False), (rated, True), (hdf5, True), (matlab_73, True), (matrix, False), (mdf, True)],
-)
+    [(plain, False), (rated, True), (hdf5, True), (matlab_73, True), (matrix, False), (mdf, True),
+     (table, False)],
+)  # fmt: skip
 def test_a_file_of_arrays_is_read_as_its_twin(tmp_path, write, units):
     path = tmp_path / "log.mat"
     write(path)
@@ -149,3 +162,47 @@ def test_columns_of_different_lengths_and_damaged_files_are_refused(tmp_path):
     assert "FILE: the file cannot be read (" in error_of(path)
     savemat(path, {"name": "a text"})
     assert error_of(path) == "FILE: the file holds no columns of numbers"
+
+
+def test_nulls_are_missing_and_flags_are_numbers(tmp_path):
+    channels = {"N1_pct": np.full(3, np.nan), "WOW": np.ones(3, dtype=bool)}
+    (log,) = read_logs(table(tmp_path / "a.parquet", time_s=[0.0, 0.1, 0.2], **channels))
+    assert log.audit.masked() == {"N1_pct": {"missing": 3}}
+    np.testing.assert_array_equal(log["WOW"], 1.0)
+
+
+def test_dates_and_durations_are_time_stamps_but_no_other_channel(tmp_path):
+    pa = pytest.importorskip("pyarrow", reason="the extra 'parquet' is not installed")
+    for kind, start_s in ((pa.timestamp("ms"), 1.7e9), (pa.duration("us"), 0.0)):
+        ticks = 1_000 if kind == pa.timestamp("ms") else 1_000_000
+        stamps = pa.array([round((start_s + k / 10) * ticks) for k in range(20)], "i8").cast(kind)
+        path = table(tmp_path / "a.parquet", time_s=stamps, N1_pct=np.arange(20.0))
+        (log,) = read_logs(path)
+        np.testing.assert_allclose(log.time_s, start_s + np.arange(20) / 10, rtol=0, atol=1e-6)
+        path = table(tmp_path / "b.parquet", time_s=np.arange(20.0), N1_pct=stamps)
+        with pytest.raises(DataError, match="N1_pct: expected a column of numbers, found"):
+            read_logs(path)
+
+
+def test_text_and_damage_are_refused(tmp_path):
+    path = table(tmp_path / "a.parquet", time_s=[0.0, 0.1], N1_pct=["x", "y"])
+    with pytest.raises(DataError) as caught:
+        read_logs(path)
+    assert str(caught.value) == (
+        f"{path}, channel N1_pct: expected a column of numbers, found string"
+    )
+    broken = tmp_path / "b.parquet"
+    broken.write_bytes(path.read_bytes()[:40])
+    with pytest.raises(DataError) as caught:
+        read_logs(broken)
+    assert str(caught.value) == f"{broken}: the Parquet file is damaged. Copy it again"
+
+
+def test_without_pyarrow_the_extra_is_named(tmp_path, monkeypatch):
+    path = table(tmp_path / "a.parquet", time_s=[0.0, 0.1])
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(ConfigError) as caught:
+        read_logs(path)
+    assert str(caught.value) == (
+        f"{path}: Parquet needs pyarrow. Install it with: pip install 'narxcal[parquet]'"
+    )

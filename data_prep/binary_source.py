@@ -1,4 +1,7 @@
-"""Files of arrays: MATLAB (version 5 by scipy; 7.3 needs the extra `hdf5`), HDF5 and MDF 4 (`mdf`).
+"""Files that are no text: Parquet, arrays of MATLAB and HDF5, and MDF 4; Parquet is also written.
+
+MATLAB of version 5 is read by scipy; the others need an extra: `parquet`, `hdf5` (also for MATLAB
+7.3) and `mdf`. Arrays become columns:
 
 | layout | column |
 |---|---|
@@ -21,7 +24,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from scipy.io import loadmat
 
-from data_prep.csv_source import Counts, Pace, Words
+from data_prep.csv_source import Counts, Pace, Words, readable
 from data_prep.text_file import Head
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, DataError, NarxcalError
@@ -29,11 +32,36 @@ from narxcal.support.errors import ConfigError, DataError, NarxcalError
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
+_PARQUET = b"PAR1"
 _MATLAB, _MATLAB_73, _HDF5 = b"MATLAB 5.0 MAT", b"MATLAB 7.3 MAT", b"\x89HDF\r\n\x1a\n"
 _MDF = b"MDF     "
-MAGIC_BYTES = len(_MATLAB)
+_GROUP_ROWS = 100_000  # of a Parquet file, written at a time
+_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _WHOLE = 1e-6  # by which a ratio of rates may differ from a whole number
 _TABLES = ("", "_dev", "_test")  # endings of a table whose names are in `_var`
+
+
+def open_binary(path: Path, time: str) -> ArraySource | ParquetSource | None:
+    """Open a file that is no text, by its first bytes; None for any other.
+
+    `time` is the column of stamps, "" where only the header is wanted. Raises `DataError` for a
+    file that cannot be read, `ConfigError` without the extra that it needs.
+    """
+    magic = _magic(path)
+    if magic.startswith(_PARQUET):
+        return ParquetSource(path, time)
+    arrays = magic.startswith((_MATLAB, _MATLAB_73, _HDF5, _MDF))
+    return ArraySource(path, time) if arrays else None
+
+
+def _magic(path: Path) -> bytes:
+    with readable(path), path.open("rb") as raw:
+        return raw.read(len(_MATLAB))
+
+
+def _refuse_growing(path: Path, pace: Pace | None, what: str) -> None:
+    if pace is not None and pace.follow:
+        raise DataError(f"{what} cannot be followed", file=path, hint="Write it as CSV first")
 
 
 @dataclass(frozen=True)
@@ -47,11 +75,6 @@ class _Column:
     unit: str = ""
     rate_hz: float = 0.0
     stamps_s: FloatArray | None = None
-
-
-def is_array_file(magic: bytes) -> bool:
-    """Whether a file that begins so is one of arrays."""
-    return magic.startswith((_MATLAB, _MATLAB_73, _HDF5, _MDF))
 
 
 class ArraySource:
@@ -83,19 +106,10 @@ class ArraySource:
                 channel="time_s",
                 hint=f"Name the column of time: {', '.join(list(self._columns)[:12])}",
             )
-        made = {} if not time or time in self._columns else {time: ""}
-        self._units = {**made, **{name: each.unit for name, each in self._columns.items()}}
-
-    @property
-    def header(self) -> tuple[str, ...]:
-        """Column names in file order; that of time first, where it follows from the rates."""
-        return tuple(self._units)
-
-    @property
-    def head(self) -> Head:
-        """There are no lines above the first row, and units where the file names any."""
-        units = tuple(self._units.values())
-        return Head(lines=0, units=units if any(units) else ())
+        units = {} if not time or time in self._columns else {time: ""}
+        units |= {name: each.unit for name, each in self._columns.items()}
+        self.header = tuple(units)  # in file order; time first, where it follows from the rates
+        self.head = Head(lines=0, units=tuple(units.values()) if any(units.values()) else ())
 
     def blocks(
         self,
@@ -108,10 +122,7 @@ class ArraySource:
         Raises `DataError` for columns of different lengths, for rates that do not divide the
         fastest one, and for a `pace` that follows a growing file.
         """
-        if pace is not None and pace.follow:
-            raise DataError(
-                "a file of arrays cannot be followed", file=self.path, hint="Write it as CSV first"
-            )
+        _refuse_growing(self.path, pace, "a file of arrays")
         table = self._rows({name: self._columns[name] for name in names if name in self._columns})
         rows, size = len(next(iter(table.values()))), (pace or Pace()).lines
         for start in range(0, rows, size):
@@ -160,8 +171,7 @@ class ArraySource:
 
 
 def _columns(path: Path) -> dict[str, _Column]:
-    with path.open("rb") as raw:
-        magic = raw.read(MAGIC_BYTES)
+    magic = _magic(path)
     try:
         if magic.startswith(_MDF):
             return dict(_mdf(path))
@@ -270,3 +280,97 @@ def _text(item: Any) -> str:
     """Text of a string, of bytes or of an array of one of them."""
     plain = np.ravel(item)[0] if np.size(item) else ""
     return (plain.decode("utf-8", "replace") if isinstance(plain, bytes) else str(plain)).strip()
+
+
+def arrow(path: Path) -> tuple[Any, Any]:
+    """Return the modules pyarrow and pyarrow.parquet; raises `ConfigError` without the extra."""
+    try:
+        import pyarrow as pa  # noqa: PLC0415 - an extra, needed for such files only
+        from pyarrow import parquet  # noqa: PLC0415 - likewise
+    except ImportError:
+        raise ConfigError(
+            "Parquet needs pyarrow",
+            file=path,
+            hint="Install it with: pip install 'narxcal[parquet]'",
+        ) from None
+    return pa, parquet
+
+
+def write_parquet(path: Path, columns: Mapping[str, FloatArray]) -> None:
+    """Write columns (rows,) as doubles; NaN, a missing sample, is null."""
+    pa, parquet = arrow(path)
+    schema = pa.schema([(name, pa.float64()) for name in columns])
+    rows = len(next(iter(columns.values())))
+    with parquet.ParquetWriter(path, schema) as file:
+        for start in range(0, rows, _GROUP_ROWS):
+            group = slice(start, start + _GROUP_ROWS)
+            arrays = [pa.array(values[group], from_pandas=True) for values in columns.values()]
+            file.write_table(pa.table(arrays, schema=schema))
+
+
+class ParquetSource:
+    """One Parquet file: its header, and on request some of its columns; row 1 is the first.
+
+    Column `time` may be one of dates or durations, which become seconds (dates from 1970).
+    """
+
+    truncated = False
+    hourly = False
+    tabular = True
+    rated = False
+    head = Head(lines=0)
+
+    def __init__(self, path: Path, time: str = "time_s") -> None:
+        self.path = path
+        self.counts: Counts = Counter()
+        self.clock = time  # it may hold dates, whose unit is part of the file
+        pa, parquet = arrow(path)
+        self._broken = (pa.ArrowException, OSError)
+        self._numeric = (pa.types.is_floating, pa.types.is_integer, pa.types.is_boolean)
+        self._temporal = (pa.types.is_timestamp, pa.types.is_duration)
+        self._integer, self._double = pa.int64(), pa.float64()
+        try:
+            self._file: Any = parquet.ParquetFile(path)
+        except self._broken as error:
+            raise self._damaged() from error
+        self._raw = {" ".join(name.split()): name for name in self._file.schema_arrow.names}
+        self.header = tuple(self._raw)
+
+    def blocks(
+        self,
+        names: Sequence[str],
+        pace: Pace | None = None,
+        words: Words | None = None,  # noqa: ARG002 - a column of words is no column of numbers
+    ) -> Iterator[dict[str, FloatArray]]:
+        """The named columns in blocks of up to `pace.lines` rows; null is NaN.
+
+        Raises `DataError` for a column that holds no numbers, for a damaged file, and for a `pace`
+        that follows a growing file: the table of contents of a Parquet file is written last.
+        """
+        _refuse_growing(self.path, pace, "a Parquet file")
+        for name in names:
+            kind = self._file.schema_arrow.field(self._raw[name]).type
+            kinds = self._numeric + (self._temporal if name == self.clock else ())
+            if not any(fits(kind) for fits in kinds):
+                raise DataError(
+                    f"expected a column of numbers, found {kind}", file=self.path, channel=name
+                )
+        try:
+            raw = [self._raw[name] for name in names]
+            for batch in self._file.iter_batches((pace or Pace()).lines, columns=raw):
+                columns = {name: batch.column(self._raw[name]) for name in names}
+                yield {name: self._values(column) for name, column in columns.items()}
+        except self._broken as error:
+            raise self._damaged() from error
+
+    def _values(self, column: Any) -> FloatArray:
+        if not any(fits(column.type) for fits in self._temporal):
+            return self._doubles(column)
+        return self._doubles(column.cast(self._integer)) * _SECONDS[column.type.unit]
+
+    def _doubles(self, column: Any) -> FloatArray:
+        values: FloatArray = column.cast(self._double, safe=False).to_numpy(zero_copy_only=False)
+        return values
+
+    def _damaged(self) -> DataError:
+        return DataError("the Parquet file is damaged", file=self.path, hint="Copy it again")

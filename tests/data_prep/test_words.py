@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from data_prep.code_words import CodeWords, code_words
 from data_prep.config import LogsConfig
 from data_prep.prepare import prepare
 from data_prep.reading import read_logs
+from data_prep.words import CodeWords, code_words
 
 BITS = {"N1": (10, 0.125), "N2": (10, 0.125), "EGT": (10, 1.0), "FF": (12, 2.0), "TRA": (9, 0.25)}
 
@@ -42,7 +42,7 @@ def ones(name):
     return (2**bits - 1) * resolution
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 10_000), period=st.integers(2, 64), length=st.integers(1, 2))
 def test_words_of_all_ones_are_found_at_any_period_and_nothing_else(seed, period, length):
     period = max(period, 2 * length)
