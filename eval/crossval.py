@@ -22,16 +22,16 @@ from narxcal.support.errors import DataError
 from narxcal.support.files import finite, versions
 from narxcal.support.progress import Progress, silent
 from training.config import RunConfig
-from training.crossval import (
+from training.folds import (
     LEAVE_ONE_OUT,
     RANDOM,
     Plan,
     Segment,
     leave_one_flight_out,
     random_splits,
-    run_plans,
 )
 from training.masking import by_each_other
+from training.pipeline import run_plans
 
 SCHEMA = "narxcal.crossval/1"
 REMARKS = {

@@ -68,7 +68,7 @@ from narxcal.support.files import finite
 from narxcal.support.progress import Progress, silent
 from narxcal.support.settings import Section
 from training.config import RunConfig
-from training.crossval import CrossvalConfig
+from training.folds import CrossvalConfig
 from training.levels import LEAST_LOGS, LevelCheck, checks, words
 from training.records import split_logs
 from training.redundancy import Bank

@@ -120,8 +120,8 @@ def run_log(
     level = np.zeros(len(log))
     if bundle.record.baselines is not None:
         fitted = Baselines.from_json(bundle.record.baselines)
-        outputs[FIRST_ORDER] = fitted.lag.simulate(steady, measured[0], own.dt_s)
-        outputs[ARX] = fitted.arx.simulate(steady, measured[0])
+        outputs[FIRST_ORDER] = fitted.simulate("first_order", steady, measured[0], own.dt_s)
+        outputs[ARX] = fitted.simulate("arx", steady, measured[0], own.dt_s)
         level = (steady[:, 0] - fitted.low[0]) / max(fitted.high[0] - fitted.low[0], 1e-9)
     spools = spools_of(own.output_names)
     return FreeRun(

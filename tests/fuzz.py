@@ -48,10 +48,9 @@ from narxcal.flight_test.fly import load_scenario
 from narxcal.steady.table import read_steady_table
 from narxcal.support.errors import NarxcalError
 from narxcal.support.files import sha256_of
-from training import checkpoint
-from training.checkpoint import read_checkpoint, write_checkpoint
+from training import methods
 from training.config import load_config
-from training.estimator_folder import load as load_estimator
+from training.methods import read_checkpoint, write_checkpoint
 from training.network import TrainingState
 
 ROOT = Path(__file__).parents[1]
@@ -439,7 +438,7 @@ def case_results(rng, folder, sound):
     document |= changed if isinstance(changed, dict) else {}
     document["sha256"] = sealed({key: document.get(key) for key in own})
     (run / "narx.json").write_text(dumped(document) + "\n", encoding="utf-8")
-    load_estimator(run)
+    Narx.load(run)
     return "loaded"
 
 
@@ -468,7 +467,7 @@ def case_checkpoint(rng, folder, _sound):
             header = stored.metadata()
         state = dumped(value_changed(rng, json.loads(header["state"])))
         arrays = {pick(rng, ("theta", "theta", "best_theta", "first")): np.ones(3)}
-        header |= {"state": state, "sha256": checkpoint._digest(arrays, state)}
+        header |= {"state": state, "sha256": methods._digest(arrays, state)}
         file.write_bytes(save_arrays(arrays, header))
     read_checkpoint(file, "key")
     return "read"

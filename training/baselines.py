@@ -59,18 +59,6 @@ class FirstOrderLag:
     push_s: tuple[float, ...]
     pull_s: tuple[float, ...]
 
-    def simulate(self, steady: FloatArray, start: FloatArray, dt_s: float) -> FloatArray:
-        """Free run (time, n_out) behind `steady` (time, n_out), from `start` (n_out,)."""
-        columns = [
-            one.simulate(steady, start_of(steady, start, k))
-            for k, one in enumerate(self.members(dt_s))
-        ]
-        return np.stack(columns, axis=1)
-
-    def members(self, dt_s: float) -> tuple[Member, ...]:
-        """The lags of all outputs, each the whole of its output."""
-        return tuple(self.member(k, dt_s) for k in range(len(self.push_s)))
-
     def member(self, k: int, dt_s: float) -> Member:
         """The lag of one output."""
         push, pull = _gain(self.push_s[k], dt_s), _gain(self.pull_s[k], dt_s)
@@ -81,24 +69,13 @@ class FirstOrderLag:
 class Linear:
     """Coefficients per channel: `poles` (n_out, order), `gains` (n_out, order + 1, n_out), offset.
 
-    Those of `narxcal.calibration.members`. A channel for which no stable model was found has no
-    poles, and its free run is NaN.
+    Those of `narxcal.calibration.members`. A channel without a stable model has no poles.
     """
 
     kind: Kind
     poles: tuple[tuple[float, ...], ...]
     gains: tuple[tuple[tuple[float, ...], ...], ...]
     offsets: tuple[float, ...]
-
-    def simulate(self, steady: FloatArray, start: FloatArray) -> FloatArray:
-        """Free run (time, n_out) on `steady` (time, n_out), from `start` (n_out,)."""
-        columns = [
-            self.member(k).simulate(steady, start_of(steady, start, k))
-            if len(self.poles[k])
-            else np.full(len(steady), np.nan)
-            for k in range(steady.shape[1])
-        ]
-        return np.stack(columns, axis=1)
 
     def member(self, k: int) -> Member:
         """The model of one output."""
@@ -131,7 +108,7 @@ class Baselines:
     low: tuple[float, ...]
     high: tuple[float, ...]
 
-    def member(self, kind: Kind, channel: int, dt_s: float, weight: float) -> Member:
+    def member(self, kind: Kind, channel: int, dt_s: float, weight: float = 1.0) -> Member:
         """The fitted model of one output as a member of a mixture."""
         one = Member("steady_state", channel)
         if kind == "first_order":
@@ -157,9 +134,17 @@ class Baselines:
         """
         if kind == "steady_state":
             return steady
-        if kind == "first_order":
-            return self.lag.simulate(steady, start, dt_s)
-        return self._linear[kind].simulate(steady, start)
+        columns = [
+            self.member(kind, k, dt_s).simulate(steady, start_of(steady, start, k))
+            if self.has(kind, k)
+            else np.full(len(steady), np.nan)
+            for k in range(steady.shape[1])
+        ]
+        return np.stack(columns, axis=1)
+
+    def lags(self, dt_s: float) -> tuple[Member, ...]:
+        """The first-order lags of all outputs, each the whole of its output."""
+        return tuple(self.lag.member(k, dt_s) for k in range(len(self.low)))
 
     @classmethod
     def from_json(cls, params: Mapping[str, Any]) -> Baselines:

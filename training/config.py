@@ -11,7 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
-from pydantic import Field, NonNegativeInt, field_validator, model_validator
+from pydantic import AfterValidator, Field, NonNegativeInt, field_validator, model_validator
 
 from data_prep.equilibrium import QuasiSteadyConfig
 from data_prep.prepare import Preparation
@@ -33,6 +33,9 @@ def _once(names: tuple[str, ...]) -> tuple[str, ...]:
         if names.count(name) > 1:
             raise ValueError(f"'{name}' is named twice")
     return names
+
+
+Names = Annotated[tuple[str, ...], AfterValidator(_once), Field(min_length=1)]
 
 
 class SteadyFitConfig(Section):
@@ -67,7 +70,7 @@ class SteadyStateConfig(Section):
 
     kind: Kind = "fitted"
     source: str = ""
-    inputs: tuple[str, ...] = Field(default=("TRA_deg", "ALT_ft", "Mach", "dT_C"), min_length=1)
+    inputs: Names = ("TRA_deg", "ALT_ft", "Mach", "dT_C")
     driver: str = ""
     blend: Auto | tuple[str, ...] = "auto"
     switches: Auto | tuple[str, ...] = "auto"
@@ -85,11 +88,6 @@ class SteadyStateConfig(Section):
         if missing:
             raise ValueError(f"blend names '{missing[0]}', which is no input")
         return self
-
-    @field_validator("inputs")
-    @classmethod
-    def _differ(cls, names: tuple[str, ...]) -> tuple[str, ...]:
-        return _once(names)
 
     @field_validator("switches")
     @classmethod
@@ -125,8 +123,8 @@ class NarxSection(Section):
     bypass the hidden layer: a free run has no wrong equilibrium.
     """
 
-    outputs: tuple[str, ...] = Field(default=("N1_pct", "N2_pct", "EGT_C"), min_length=1)
-    schedule: tuple[str, ...] = _SCHEDULE
+    outputs: Names = ("N1_pct", "N2_pct", "EGT_C")
+    schedule: Annotated[tuple[str, ...], AfterValidator(_once)] = _SCHEDULE
     lags: int = Field(default=1, ge=1, le=MOST_LAGS)
     taps: Taps = (0,)
     hidden: int = Field(default=6, ge=1, le=MOST_HIDDEN)
@@ -158,11 +156,6 @@ class NarxSection(Section):
         if self.lag_governed is True and not self.lag:
             raise ValueError("lag_governed = true needs lag = true")
         return self
-
-    @field_validator("outputs", "schedule")
-    @classmethod
-    def _differ(cls, names: tuple[str, ...]) -> tuple[str, ...]:
-        return _once(names)
 
 
 class TrainConfig(Section):

@@ -1,11 +1,29 @@
-"""`Narx`: a scikit-learn estimator for any records; `training.estimator_folder` stores it."""
+"""`Narx`: a scikit-learn estimator for any records.
+
+`Narx.save` writes a folder of `narx.json`,
+
+    schema      "narxcal.narx/1" of a network, "narxcal.narx/2" of a chosen form
+    parameters  structure, train, dt_s, and of /2 time_limit_s and seed, as given; null or "auto"
+                for what was left to the default
+    network     structure and sizes of the trained model
+    result      how the training ended: status, score, every step; of /2 status, rung, reason,
+                work and everything that was tried; inputs and outputs, names of the columns
+    weights     file, SHA-256, shapes; the arrays themselves are in that file
+    sha256      of parameters, network and result
+    versions    of Python and the packages that made it
+
+and `weights.safetensors`. A number that is not finite, such as a validation error without
+validation records, is null.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import json
+from collections.abc import Iterable, Mapping
 from numbers import Real
 from os import PathLike
-from typing import TYPE_CHECKING, Any, Self, TypeAlias, TypeGuard, overload
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, Self, TypeAlias, TypeGuard, overload
 
 import numpy as np
 import pandas as pd
@@ -14,6 +32,7 @@ from rich.progress import Progress
 from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.exceptions import NotFittedError
 
+from narxcal.calibration.bundle import WEIGHTS, ModelFolder, packed, seal
 from narxcal.intervals import Band
 from narxcal.narx.config import NarxConfig
 from narxcal.narx.forms import DynamicModel
@@ -30,16 +49,24 @@ from narxcal.record import (
 )
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, DataError, ModelError
+from narxcal.support.files import (
+    Results,
+    atomic_folder,
+    atomic_write_bytes,
+    atomic_write_text,
+    to_json,
+    versions,
+)
 from narxcal.support.settings import Section
-from training.choice import Choice, Limits, choose
 from training.config import TrainConfig
-from training.estimator_folder import TIME_LIMIT_S, Stored, Structure, load, save
+from training.ladder import TIME_LIMIT_S, Choice, Limits, choose
 from training.network import FitResult, Material, OnStep, fit_narx
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Records: TypeAlias = RecordLike | Iterable[RecordLike]
+Structure: TypeAlias = NarxConfig | Literal["auto"] | None
 
 # Default for unknown records. On held-back stretches of the training ranges of three public sets
 # (`python -m eval.bench`), eight lags have 0.5 to 0.9 times the error of two or four.
@@ -47,6 +74,20 @@ _STRUCTURE = NarxConfig(lags=8, taps=tuple(range(9)), hidden=8)
 # Horizons in samples.
 _TRAIN = TrainConfig(horizons_s=(20.0, 200.0, 0.0), iterations=(10, 20, 40), score_every_s=1.0)
 _DEFAULTS: dict[str, Section] = {"structure": _STRUCTURE, "train": _TRAIN}
+_NETWORK, _CHOSEN = "narxcal.narx/1", "narxcal.narx/2"
+_FORM = ModelFolder(
+    what="stored Narx",
+    document="narx.json",
+    schemas=(_NETWORK, _CHOSEN),
+    made_by="Narx.save",
+    again="Copy the folder again, or train anew",
+)
+_SEALED = ("parameters", "network", "result")
+# What a document of unforeseen types and values raises where it is taken apart.
+_UNREADABLE = (
+    LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError,
+    ConfigError,
+)  # fmt: skip
 
 
 class NotTrainedError(ModelError, NotFittedError):  # type: ignore[misc]  # scikit-learn ships no types
@@ -57,7 +98,7 @@ class Narx(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # likewise
     """Model of a dynamic system, fitted to its free run over one or several records.
 
     With `structure="auto"` (and no `train`) the form is chosen by held-out free runs, from a
-    first-order lag to a network with latent states (see `training.choice`): `choice_` lists what
+    first-order lag to a network with latent states (see `training.ladder`): `choice_` lists what
     was tried, `reason_` says in a sentence why, `status_` how the search ended. `time_limit_s` is
     turned into a number of sample-steps once: the same records and `seed` give the same model.
     `verbose` shows a progress bar.
@@ -186,31 +227,60 @@ class Narx(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # likewise
         return found
 
     def save(self, folder: str | PathLike[str], *, replace: bool = False) -> None:
-        """Write the trained network and all parameters to a new folder, without pickle.
+        """Write the trained model and all parameters to a new folder, without pickle.
 
         Raises `NotTrainedError` before `fit`, and `ConfigError` for a folder that has content (with
         `replace`, other than a stored `Narx`) or cannot be written.
         """
         self._sections()
-        stored = Stored(
-            self.structure, self.train, self.dt_s, self.time_limit_s, self.seed, self._fitted(),
-            self.input_names_, self.output_names_,
-        )  # fmt: skip
-        save(folder, stored, replace=replace)
+        found = self._fitted()
+        network, result, arrays = found.to_arrays()
+        parameters: dict[str, Any] = {
+            "structure": _dumped(self.structure),
+            "train": _dumped(self.train),
+            "dt_s": float(self.dt_s),
+        }
+        if isinstance(found, Choice):
+            parameters |= {"time_limit_s": float(self.time_limit_s), "seed": int(self.seed)}
+        names = {"inputs": list(self.input_names_), "outputs": list(self.output_names_)}
+        sealed = {"parameters": parameters, "network": network, "result": result | names}
+        weights, entry = packed(arrays)
+        document = {
+            "schema": _CHOSEN if isinstance(found, Choice) else _NETWORK,
+            **sealed,
+            "sha256": seal(json.loads(json.dumps(sealed))),
+            "weights": entry,
+            "versions": versions(),
+        }
+        content = Results("narxcal.narx/", _FORM.document, (WEIGHTS,))
+        with atomic_folder(folder, content if replace else None) as part:
+            atomic_write_bytes(part / WEIGHTS, weights)
+            atomic_write_text(part / _FORM.document, to_json(document))
 
     @classmethod
     def load(cls, folder: str | PathLike[str]) -> Self:
-        """Read what `save` wrote: the same parameters, and a network that computes the same.
+        """Read what `save` wrote: the same parameters, and a model that computes the same.
 
         Raises `ModelError` for a folder that is another, damaged or altered.
         """
-        stored = load(folder)
-        loaded = cls(
-            stored.structure, stored.train, stored.dt_s,
-            time_limit_s=stored.time_limit_s, seed=stored.seed,
-        )  # fmt: skip
-        loaded.result_ = stored.result
-        loaded.input_names_, loaded.output_names_ = stored.inputs, stored.outputs
+        source = Path(folder)
+        document = _FORM.read_document(source)
+        arrays = _FORM.read_arrays(source, document)
+        sealed = {key: _FORM.part(source, document, key) for key in _SEALED}
+        file = source / _FORM.document
+        if seal(sealed) != document.get("sha256"):
+            problem = f"{', '.join(_SEALED[:-1])} or {_SEALED[-1]} were altered"
+            raise ModelError(problem, file=file, hint=_FORM.again)
+        kind: type[Choice | FitResult] = Choice if document["schema"] == _CHOSEN else FitResult
+        try:
+            loaded = cls(**_parameters(sealed["parameters"]))
+            result = sealed["result"]
+            loaded.result_ = kind.from_arrays(sealed["network"], result, arrays)
+            loaded.input_names_ = tuple(result.get("inputs", ()))
+            loaded.output_names_ = tuple(result.get("outputs", ()))
+        except _UNREADABLE as error:
+            problem = f"a part cannot be read: {error}"
+            raise ModelError(problem, file=file, hint=_FORM.again) from None
         return loaded
 
     @overload
@@ -373,3 +443,19 @@ def _is_number(value: object) -> TypeGuard[Any]:
 
 def _not_trained() -> NotTrainedError:
     return NotTrainedError("the NARX network is not trained yet", hint="Call fit first")
+
+
+def _dumped(section: Structure | TrainConfig) -> dict[str, Any] | str | None:
+    if section is None or isinstance(section, str):
+        return section
+    return section.model_dump(mode="json", by_alias=True)
+
+
+def _parameters(stored: Mapping[str, Any]) -> dict[str, Any]:
+    """Arguments of `Narx` from `narx.json`."""
+    structure, train = stored["structure"], stored["train"]
+    if structure is not None and structure != "auto":
+        structure = NarxConfig.parse(structure)
+    known = {key: stored[key] for key in ("time_limit_s", "seed") if key in stored}
+    train = None if train is None else TrainConfig.parse(train)
+    return {"structure": structure, "train": train, "dt_s": stored["dt_s"], **known}

@@ -1,4 +1,4 @@
-"""What is held out: recordings, regions or blocks of few, and how scores on it are compared.
+"""How logs are divided into those to fit to and those held out, and how scores are compared.
 
 A model is chosen for flights that it has not seen. With three recordings or more each is held out
 whole, in a few folds. One or two recordings are cut into stretches, and a fold holds out those of
@@ -8,8 +8,11 @@ whole, in a few folds. One or two recordings are cut into stretches, and a fold 
 and each of two recordings. A choice between models is by the mean over the held-out pieces of the
 logarithm of their errors, so that a model which does well in the middle and fails at an edge loses.
 
-Records of any system (`Narx`) have no altitude or power: of fewer than four, blocks are held out,
-each run free from two starts.
+**Cross-validation** divides many times, by two schemes. *Leave one flight out* holds back a whole
+file at a time, with all its engines: they flew through the same air and were read by one recorder.
+*Random by event* (calibration paper, section 3.2: ten random 7:3 divisions) holds back whole
+events: each log is cut into segments of one event each, and a segment is never divided, so that no
+sample tells of its neighbour in the other set.
 """
 
 from __future__ import annotations
@@ -17,15 +20,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from pathlib import Path
 from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
+from pydantic import Field
 from scipy.special import ndtr, stdtrit
 
+from data_prep.events import Event, EventsConfig, find_events
 from data_prep.log import Log
-from narxcal.narx.forms import DynamicModel
-from narxcal.record import Record, known_start
-from narxcal.support.arrays import BoolArray, FloatArray, known_mean, spans
+from narxcal.support.arrays import BoolArray, FloatArray, known_mean
+from narxcal.support.errors import DataError
+from narxcal.support.settings import Section
 
 T = TypeVar("T")
 _LEAST = 1e-18  # of a mean square: outputs without any error compare, too
@@ -33,11 +39,6 @@ _THIRD: Final = 1.0 / 3.0
 _RANGE_FT: Final = 1000.0  # of altitude: over it pressure changes by 3 %, outputs by that or less
 _STRETCH_S: Final = 60.0  # a move with its settling
 _STRETCHES: Final = (6, 24)  # of a log: thirds of it need so many; more divide moves
-FOLDS = 4
-WINDOW = 50  # measured samples before the longer of two held-out runs, at most a fifth of it
-_PARTS = 3  # of a record from which one fold holds blocks out
-_LONG = 4 * WINDOW  # samples of such a block at least: at most a quarter of it is the start
-SHORTEST = 8  # samples of a piece; fewer leave nothing to hold out
 
 
 class Fold(NamedTuple):
@@ -127,9 +128,13 @@ def thirds(logs: Sequence[Log], most: int = 3) -> tuple[list[Log], list[Fold]]:
     for log in logs:
         edges = np.linspace(0, len(log), most + 1).astype(int).tolist()
         for number, (a, b) in enumerate(pairwise(edges)):
-            parts.append(replace(log.part(a, b), name=f"{log.name}[{a}:{b}]"))
+            parts.append(_named_part(log, a, b))
             numbers.append(str(number))
     return parts, held_out_folds(numbers, most)
+
+
+def _named_part(log: Log, start: int, stop: int) -> Log:
+    return replace(log.part(start, stop), name=f"{log.name}[{start}:{stop}]")
 
 
 def _of_regions(logs: Sequence[Log], power: Callable[[Log], FloatArray]) -> Iterator[LogFold]:
@@ -146,8 +151,7 @@ def _of_regions(logs: Sequence[Log], power: Callable[[Log], FloatArray]) -> Iter
         judged: list[Log] = []
         for log, at, (first, last) in zip(logs, cuts, pairwise(numbers), strict=True):
             for start, stop, out in _runs(held[first:last]):
-                part = log.part(int(at[start]), int(at[stop]))
-                part = replace(part, name=f"{log.name}[{at[start]}:{at[stop]}]")
+                part = _named_part(log, int(at[start]), int(at[stop]))
                 (judged if out else fitted).append(part)
         if fitted and judged:
             yield LogFold(name, tuple(fitted), tuple(judged), whole=False)
@@ -198,128 +202,168 @@ def surely_below(ratios: FloatArray, margin: float = 0.0) -> BoolArray:
     return np.asarray(mean < -np.maximum(error, margin))
 
 
-# ---- records of any system
+# ---- cross-validation
 
 
-@dataclass(frozen=True, eq=False)
-class Run:
-    """A held-out free run: all rows of `record` from `begin` on, `start` samples of it given."""
+class CrossvalConfig(Section):
+    """Table [evaluate.crossval]: which divisions are made.
 
-    record: Record
-    begin: int
-    start: int
-
-    def error(self, model: DynamicModel) -> FloatArray:
-        """Free run less measurement (scored samples, outputs)."""
-        u, y = self.record.u[self.begin :], self.record.y[self.begin :]
-        free = model.simulate(u, known_start(y, self.start))
-        return (free - y)[self.start :]
-
-
-@dataclass(frozen=True, eq=False)
-class RecordFold:
-    """Records to fit to, and held-out runs to judge on."""
-
-    fit: tuple[Record, ...]
-    held: tuple[Run, ...]
-
-
-def record_folds(records: Sequence[Record], gap: int, count: int = 2 * FOLDS) -> list[RecordFold]:
-    """Held-out records, or blocks where there are fewer than four; `gap` samples around left out.
-
-    A fold of blocks holds out a sixth of all samples. Long records give two or three shorter blocks
-    from different parts: a manoeuvre that is flown once would otherwise be held out whole, and the
-    folds would ask for what no fit can know. Blocks overlap by a third from fold to fold, so that
-    what happens rarely is not always at the edge of one.
+    Of the random ones, number i is drawn with `seed + i`. A segment begins `lead_s` before the
+    lever moves, so that the level the engine starts from belongs to its event.
     """
-    if len(records) >= FOLDS:
-        turns = min(count, len(records))
-        groups = [
-            [(k, 0, len(records[k])) for k in range(turn, len(records), turns)]
-            for turn in range(turns)
-        ]
-    else:
-        each = -(-count // len(records))
-        groups = [
-            [(k, a, b) for a, b in blocks]
-            for k, record in enumerate(records)
-            for blocks in _blocks(len(record), _block(record, len(records), each), each)
-        ]
-    found = []
-    for held in groups:
-        fit = [part for k, record in enumerate(records) for part in _without(record, k, held, gap)]
-        runs = [run for k, a, b in held for run in runs_of(_cut_record(records[k], a, b))]
-        if fit and runs:
-            found.append(RecordFold(tuple(fit), tuple(runs)))
-    return found
+
+    leave_one_flight_out: bool = True
+    random_splits: int = Field(default=10, ge=0)
+    train_share: float = Field(default=0.7, gt=0.0, lt=1.0)
+    seed: int = Field(default=0, ge=0)
+    lead_s: float = Field(default=3.0, gt=0.0)
 
 
-def _blocks(length: int, held: int, turns: int) -> list[list[tuple[int, int]]]:
-    """In every turn `held` samples, in one to three blocks from different parts of a record."""
-    parts = min(max(held // _LONG, 1), _PARTS)
-    block, part = held // parts, length // parts
-    firsts = np.linspace(0, part - block, turns).astype(int).tolist()
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """Rows `start:stop` of one log and the events in them, given in rows of the whole log.
+
+    Events are found on the whole log, since what counts as a movement depends on its range.
+    """
+
+    whole: Log
+    start: int
+    stop: int
+    events: tuple[Event, ...]
+
+    @property
+    def log(self) -> Log:
+        """The rows as a log of their own, named `NAME[start:stop]` unless they are all."""
+        if (self.start, self.stop) == (0, len(self.whole)):
+            return self.whole
+        return _named_part(self.whole, self.start, self.stop)
+
+    @property
+    def own_events(self) -> tuple[Event, ...]:
+        """The events in rows of `log`, none reaching beyond its end."""
+        name, first, last = self.log.name, self.start, self.stop
+        return tuple(
+            replace(
+                event,
+                log=name,
+                start=event.start - first,
+                stop=min(event.stop, last) - first,
+            )
+            for event in self.events
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """One division. `seed` is None where nothing was drawn."""
+
+    scheme: str
+    name: str
+    train: tuple[Segment, ...]
+    test: tuple[Segment, ...]
+    seed: int | None = None
+
+
+LEAVE_ONE_OUT, RANDOM = "leave one flight out", "random splits by event"
+
+
+def leave_one_flight_out(
+    logs: Sequence[Log], events: EventsConfig, outputs: Sequence[str] = ()
+) -> list[Plan]:
+    """One plan per file; `DataError` where there is only one flight.
+
+    `outputs` settle where a log records none of the responses of `events`.
+    """
+    flights = list(dict.fromkeys(log.source.file for log in logs))
+    if len(flights) < 2:
+        raise DataError(
+            f"leaving one flight out takes two flights or more, found {len(flights)}",
+            file=flights[0] if flights else None,
+            hint="Add flights to [logs] files, or set leave_one_flight_out = false",
+        )
+    whole = {}
+    for log in logs:
+        found = tuple(find_events(log, events.for_log(log, outputs)))
+        whole[log.name] = Segment(log, 0, len(log), found)
     return [
-        [
-            (first, first + block)
-            for i in range(parts)
-            for first in [i * part + firsts[(turn + i * turns // parts) % turns]]
-        ]
-        for turn in range(turns)
+        Plan(
+            LEAVE_ONE_OUT,
+            f"without {Path(flight).name}",
+            tuple(whole[log.name] for log in logs if log.source.file != flight),
+            tuple(whole[log.name] for log in logs if log.source.file == flight),
+        )
+        for flight in flights
     ]
 
 
-def _block(record: Record, records: int, each: int) -> int:
-    """Length of a held-out block of one of few records."""
-    return min(max(len(record) * records // 6, len(record) // each), len(record) // 2)
+def random_splits(
+    logs: Sequence[Log], events: EventsConfig, config: CrossvalConfig, outputs: Sequence[str] = ()
+) -> list[Plan]:
+    """Draw `config.random_splits` divisions of all segments; `DataError` with too few events.
+
+    `outputs` as in `leave_one_flight_out`.
+
+    Training segments that follow each other are joined, which spares the network starts from
+    an unknown history; test segments stay one event each.
+    """
+    responses = {log.name: events.for_log(log, outputs) for log in logs}
+    segments = [
+        part for log in logs for part in cut_segments(log, responses[log.name], config.lead_s)
+    ]
+    return divide(segments, config)
 
 
-def _cut_record(record: Record, a: int, b: int) -> Record:
-    weight = None if record.weight is None else record.weight[a:b]
-    return Record(record.u[a:b], record.y[a:b], f"{record.name}[{a}:{b}]", weight)
+def divide(segments: Sequence[Segment], config: CrossvalConfig) -> list[Plan]:
+    """Draw `config.random_splits` divisions of these segments; as `random_splits` otherwise."""
+    trained = round(config.train_share * len(segments))
+    if not 0 < trained < len(segments):
+        raise DataError(
+            f"expected at least two events to divide, found {len(segments)}",
+            hint="Check [events], or set random_splits = 0",
+        )
+    plans = []
+    for number in range(config.random_splits):
+        seed = config.seed + number
+        drawn = np.random.default_rng(seed).permutation(len(segments))
+        chosen = np.zeros(len(segments), dtype=np.bool_)
+        chosen[drawn[:trained]] = True
+        plans.append(
+            Plan(
+                RANDOM,
+                f"split {number + 1}",
+                tuple(_joined(segments, chosen)),
+                tuple(part for part, use in zip(segments, chosen, strict=True) if not use),
+                seed,
+            )
+        )
+    return plans
 
 
-def _without(
-    record: Record, number: int, held: Sequence[tuple[int, int, int]], gap: int
-) -> list[Record]:
-    """What is left of a record, in pieces long enough to fit."""
-    keep = np.ones(len(record), dtype=bool)
-    for k, a, b in held:
-        if k == number:
-            keep[max(a - gap, 0) if a else 0 : b + gap if b < len(record) else b] = False
-    return [_cut_record(record, a, b) for a, b in spans(keep) if b - a >= SHORTEST]
+def cut_segments(log: Log, events: EventsConfig, lead_s: float) -> list[Segment]:
+    """Cut a log into one segment per event, which together hold every row of it once.
 
-
-def runs_of(record: Record) -> list[Run]:
-    """From the beginning with a window of outputs, from a third of it with half that window."""
-    length = len(record)
-    if length < SHORTEST:
+    The first segment begins with the log. No segments where there are no events.
+    """
+    found = find_events(log, events)
+    if not found:
         return []
-    window = max(min(WINDOW, length // 5), 1)
-    found = [Run(record, 0, window), Run(record, length // 3, max(window // 2, 1))]
-    return [run for run in found if np.isfinite(record.y[run.begin + run.start :]).any()]
+    lead = max(1, round(lead_s / log.dt_s))
+    # Where one movement follows another at once, the lead would reach into the one before.
+    edges = [max(b.start - lead, min(a.stop, b.start)) for a, b in pairwise(found)]
+    starts, stops = [0, *edges], [*edges, len(log)]
+    return [
+        Segment(log, start, stop, (event,))
+        for event, start, stop in zip(found, starts, stops, strict=True)
+    ]
 
 
-def thinned(records: Sequence[Record], most: int) -> list[Record]:
-    """Records, or contiguous parts spread over each where all have more samples than `most`."""
-    total = sum(map(len, records))
-    if total <= most:
-        return list(records)
-    found = []
-    for record in records:
-        length = int(len(record) * most / total)
-        chunks = max(min(4, length // 1000), 1)
-        each = max(length // chunks, 4 * SHORTEST)
-        for first in np.linspace(0, max(len(record) - each, 0), chunks).astype(int).tolist():
-            part = _cut_record(record, first, min(first + each, len(record)))
-            if np.isfinite(part.y).any():
-                found.append(part)
-    return found
-
-
-def by_piece(runs: Sequence[Run], errors: Sequence[FloatArray]) -> list[float]:
-    """Root mean square over the runs of each held-out piece."""
-    found: dict[str, list[FloatArray]] = {}
-    for run, error in zip(runs, errors, strict=True):
-        found.setdefault(run.record.name, []).append(error.ravel() ** 2)
-    return [float(np.sqrt(np.nanmean(np.concatenate(each)))) for each in found.values()]
+def _joined(segments: Sequence[Segment], chosen: BoolArray) -> list[Segment]:
+    """The chosen segments, those that follow each other in one log as one."""
+    joined: list[Segment] = []
+    for part in (each for each, use in zip(segments, chosen, strict=True) if use):
+        last = joined[-1] if joined else None
+        if last is not None and last.whole is part.whole and last.stop == part.start:
+            joined[-1] = Segment(part.whole, last.start, part.stop, (*last.events, *part.events))
+        else:
+            joined.append(part)
+    return joined

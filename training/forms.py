@@ -22,14 +22,12 @@ import numpy as np
 from narxcal.narx.config import NarxConfig
 from narxcal.narx.forms import DynamicModel, Ensemble
 from narxcal.narx.latent import LatentModel, Shape
-from narxcal.narx.network import NarxModel, Scaling, Weights, tap
+from narxcal.narx.network import NarxModel, Scaling, Weights
 from narxcal.record import Record
 from narxcal.support.errors import DataError
 from training.config import TrainConfig
-from training.folds import thinned
 from training.latent import Data, Fitted, Starts, fit_linear, model_of
-from training.network import FitResult, Material, TrainingState, fit_narx, net_of
-from training.ranking import Build, Form
+from training.network import FitResult, Material, TrainingState, fit_narx, net_of, regression
 from training.search import (
     ARX,
     FEW,
@@ -39,11 +37,14 @@ from training.search import (
     NETWORK_STEP,
     OUTPUT_ERROR,
     PLENTY,
+    Build,
+    Form,
     Search,
     dead,
     least_squares_cost,
     most_samples,
     near_the_best,
+    thinned,
 )
 
 ORDERS = (1, 2, 3, 4, 5, 6, 8)
@@ -179,13 +180,10 @@ def arx_model(
     low, high = np.full(p, np.inf), np.full(p, -np.inf)
     for record in records:
         u, y = scalings[0].down(record.u), scalings[1].down(record.y)
-        rows = np.arange(min(order, len(y)), len(y))
-        if not len(rows):
+        if len(y) <= order:
             continue
-        past = np.concatenate([y[rows - i] for i in range(1, order + 1)], axis=1)
-        phi = np.concatenate([past, tap(u, taps)[rows], np.ones((len(rows), 1))], axis=1)
-        known = np.isfinite(phi).all(axis=1) & np.isfinite(y[rows]).all(axis=1)
-        phi, target = phi[known], y[rows][known]
+        phi, target = regression(u, y, order, taps)
+        phi = np.column_stack([phi, np.ones(len(phi))])
         normal, right = normal + phi.T @ phi, right + phi.T @ target
         count += len(phi)
         low, high = np.fmin(low, np.fmin.reduce(y)), np.fmax(high, np.fmax.reduce(y))

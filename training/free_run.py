@@ -18,6 +18,7 @@ from narxcal.narx import kernels
 from narxcal.narx.network import NarxModel, Weights, history_before, tap
 from narxcal.record import Record
 from narxcal.support.arrays import FloatArray, IntArray, sample_and_hold
+from training.optimisers import Equations
 
 if TYPE_CHECKING:
     from narxcal.narx.module import NarxNet
@@ -88,15 +89,6 @@ def _root_weight(record: Record, y: FloatArray, stride: int) -> FloatArray:
     return root
 
 
-@dataclass(frozen=True)
-class NormalEquations:
-    """Gauss-Newton at one point: loss, gradient (P,) and J'J (P, P)."""
-
-    loss: float
-    gradient: FloatArray
-    hessian: FloatArray
-
-
 @dataclass(frozen=True, eq=False)
 class _Batch:
     """Several windows end to end, which the kernels run as one."""
@@ -153,11 +145,11 @@ class FreeRunProblem:
         parts = self._map(partial(_loss_and_gradient, weights=weights))
         return sum(loss for loss, _ in parts), self._trained(np.sum([g for _, g in parts], axis=0))
 
-    def normal_equations(self, theta: FloatArray) -> NormalEquations:
+    def normal_equations(self, theta: FloatArray) -> Equations:
         """Loss, gradient and Gauss-Newton matrix by forward sensitivities (for LM)."""
         weights = self._weights(theta)
         parts = self._map(partial(_normal_equations, weights=weights))
-        return NormalEquations(
+        return Equations(
             sum(part.loss for part in parts),
             self._trained(np.sum([part.gradient for part in parts], axis=0)),
             self._trained(self._trained(np.sum([part.hessian for part in parts], axis=0)).T),
@@ -224,7 +216,7 @@ def _features(batch: _Batch, fed: FloatArray, weights: Weights) -> tuple[FloatAr
     return phi, np.concatenate([np.zeros_like(fed), batch.tapped * weights.fixed], axis=1)
 
 
-def _normal_equations(batch: _Batch, weights: Weights) -> NormalEquations:
+def _normal_equations(batch: _Batch, weights: Weights) -> Equations:
     run = _run(batch, weights)
     features = _features(batch, run[1], weights)
     units, outputs = weights.w2.T.shape
@@ -249,4 +241,4 @@ def _normal_equations(batch: _Batch, weights: Weights) -> NormalEquations:
         loss += 0.5 * float(e @ e)
         gradient += j.T @ e
         hessian += j.T @ j
-    return NormalEquations(loss, gradient, hessian)
+    return Equations(loss, gradient, hessian)

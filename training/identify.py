@@ -36,13 +36,11 @@ from narxcal.calibration.identified import (
 from narxcal.channels import spools_of
 from narxcal.output_error.engine import STEADY_OUTPUTS, EngineFromSteady, steady_drive
 from narxcal.record import Record
-from narxcal.static_models.model import MODELS, Columns, StaticModel
-from narxcal.steady.laws import StaticLaws
+from narxcal.static_models.model import MODELS, Columns, StaticLaws, StaticModel
 from narxcal.steady.model import Envelope, SteadyStateModel
 from narxcal.support.arrays import FloatArray, IntArray, spans
 from narxcal.support.errors import ConfigError, DataError
-from narxcal.transfer.scheduled import ResponseFromSteady
-from narxcal.transfer.state_space import Schedule, node_weights
+from narxcal.transfer import ResponseFromSteady, Schedule, node_weights
 from training.config import STATIC, RunConfig
 from training.output_error import Plan, fit
 from training.output_error_result import OutputErrorFit

@@ -29,8 +29,9 @@ from narxcal.narx.latent import (
 )
 from narxcal.narx.network import Scaling
 from narxcal.record import Record
-from narxcal.support.arrays import BoolArray, FloatArray, known_mean
-from training.levenberg_marquardt import Damping, minimise
+from narxcal.support.arrays import FloatArray, known_mean
+from training.network import regression
+from training.optimisers import Damping, Equations, minimise
 
 _BLOCK = 256  # rows of a Jacobian that are kept at one time
 _STATE_DECAY = 1e-6  # on initial states: where a record does not show them, they stay at the mean
@@ -87,15 +88,6 @@ class Data:
         return cls(tuple(inputs), tuple(outputs), weights, tuple(measured), slowest)
 
 
-@dataclass(frozen=True)
-class Normal:
-    """Loss, gradient (Q,) and Gauss-Newton matrix (Q, Q)."""
-
-    loss: float
-    gradient: FloatArray
-    hessian: FloatArray
-
-
 @dataclass(frozen=True, eq=False)
 class LatentProblem:
     """Penalised free-run loss over z = (theta, x0 of every record), for Levenberg-Marquardt.
@@ -127,7 +119,7 @@ class LatentProblem:
         away = z - self.centre
         return 0.5 * total + 0.5 * float(self.penalty @ away**2)
 
-    def normal_equations(self, z: FloatArray) -> Normal:
+    def normal_equations(self, z: FloatArray) -> Equations:
         """Loss, gradient and Gauss-Newton matrix."""
         shape, parts = self.shape, self.shape.parts(z)
         n, size, count = shape.states, shape.size, len(z)
@@ -155,7 +147,7 @@ class LatentProblem:
         away = z - self.centre
         gradient += self.penalty * away
         hessian[np.diag_indices(count)] += self.penalty
-        return Normal(0.5 * total + 0.5 * float(self.penalty @ away**2), gradient, hessian)
+        return Equations(0.5 * total + 0.5 * float(self.penalty @ away**2), gradient, hessian)
 
     def start(self, z: FloatArray, k: int) -> FloatArray:
         """Initial state of record `k`."""
@@ -282,14 +274,8 @@ def _arx(data: Data, length: int) -> tuple[FloatArray, FloatArray, FloatArray] |
     width = length * p + (length + 1) * m + 1
     normal, right, count = 1e-30 * np.eye(width), np.zeros((width, p)), 0
     for u, y in zip(data.inputs, data.measured, strict=True):
-        known: BoolArray = np.asarray(np.isfinite(y).all(axis=1))
-        rows = np.arange(length, len(u))
-        past = [y[rows - i] for i in range(1, length + 1)]
-        drive = [u[rows - i] for i in range(length + 1)]
-        phi = np.concatenate([*past, *drive, np.ones((len(rows), 1))], axis=1)
-        every = np.stack([known[rows - i] for i in range(length + 1)])
-        usable = np.flatnonzero(every.all(axis=0))
-        phi, target = phi[usable], y[rows][usable]
+        phi, target = regression(u, y, length, range(length + 1))
+        phi = np.column_stack([phi, np.ones(len(phi))])
         normal += phi.T @ phi
         right += phi.T @ target
         count += len(phi)

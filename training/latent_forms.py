@@ -21,10 +21,8 @@ from narxcal.narx.forms import DynamicModel, Ensemble
 from narxcal.narx.latent import Shape
 from narxcal.record import Record
 from narxcal.support.errors import DataError
-from training.folds import thinned
 from training.forms import ORDERS, Bases
 from training.latent import Data, Fitted, at_decay, fit_linear, grown, model_of, moved, path
-from training.ranking import Form, Tried, beats
 from training.search import (
     FEW,
     LAG,
@@ -32,10 +30,14 @@ from training.search import (
     LATENT_STEP,
     OUTPUT_ERROR,
     PLENTY,
+    Form,
     Search,
+    Tried,
+    beats,
     dead,
     most_samples,
     near_the_best,
+    thinned,
 )
 
 _HIDDEN = (4, 8, 16)

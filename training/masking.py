@@ -17,11 +17,11 @@ from data_prep.prepare import HELD, hold_inputs
 from narxcal.support.arrays import spans
 from narxcal.support.errors import DataError
 from training.config import RunConfig
-from training.outlying import Outlier
 from training.records import Split
 from training.redundancy_fit import MOST_FOLDS, Pool, learn
 from training.scatter import PRIORS, Priors
 from training.screening import files_of, screened
+from training.steady_choice import Outlier
 
 _LEAST_PART_S = 20.0  # shorter parts of a divided log show no response with its settling
 

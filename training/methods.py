@@ -5,17 +5,24 @@
 | narx | fitted or the maker's | lags, network, mixture with simple models |
 | output-error, transfer, subspace | the same | `training.identify` |
 | static:NAME | the law of that name | none |
+
+A training of networks writes its progress after every step to a safetensors file: the arrays as
+they are, everything else as one JSON text in its header.
 """
 
 from __future__ import annotations
 
-import hashlib
+import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
+from hashlib import sha256
 from pathlib import Path
 from typing import Any, Final, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save as save_arrays
 
 from data_prep.log import Log
 from narxcal.calibration.calibration import Calibration, DynamicCalibration
@@ -25,9 +32,10 @@ from narxcal.narx.network import NarxModel
 from narxcal.record import Record
 from narxcal.steady.fitted import FittedSteadyState
 from narxcal.steady.model import SteadyStateModel
+from narxcal.support.errors import ModelError
+from narxcal.support.files import atomic_write_bytes
 from narxcal.support.progress import Progress, silent
 from training.baselines import fit_baselines
-from training.checkpoint import fingerprint, read_checkpoint, write_checkpoint
 from training.config import STATIC, RunConfig
 from training.identify import Identified, output_error, static_laws, subspace_model, transfer
 from training.lags import choose_form, fit_lags
@@ -41,12 +49,14 @@ from training.network import (
     fit_narx,
     merge_models,
 )
+from training.optimisers import Damping, Moments
 from training.records import Split, material, structure_of
 from training.steady_choice import contradicting, steady_state, without
 from training.steady_fit import SteadyQuality
 from training.transport import DelayChoice, choose_delay, delayed
 
 CHECKPOINT = "checkpoint-{}.safetensors"
+_CHECKPOINT_SCHEMA = "narxcal.checkpoint/1"
 
 
 @dataclass(frozen=True)
@@ -249,7 +259,7 @@ def _error_words(row: HistoryRow) -> str:
 def _record_hash(record: Record) -> str:
     """Hash of shapes and numbers, without the name: a file may move."""
     shapes = f"{record.u.shape} {record.y.shape}".encode()
-    return hashlib.sha256(shapes + record.u.tobytes() + record.y.tobytes()).hexdigest()
+    return sha256(shapes + record.u.tobytes() + record.y.tobytes()).hexdigest()
 
 
 def _training_row(results: Sequence[FitResult]) -> dict[str, Any]:
@@ -261,13 +271,8 @@ def _training_row(results: Sequence[FitResult]) -> dict[str, Any]:
 
 
 def _history_row(row: HistoryRow) -> dict[str, Any]:
-    return {
-        "start": row.start,
-        "horizon_s": row.horizon_s,
-        "iteration": row.iteration,
-        "loss": row.loss,
-        "validation": row.validation if np.isfinite(row.validation) else None,
-    }
+    kept = {name: getattr(row, name) for name in ("start", "horizon_s", "iteration", "loss")}
+    return kept | {"validation": row.validation if np.isfinite(row.validation) else None}
 
 
 @dataclass(frozen=True)
@@ -316,3 +321,100 @@ _METHODS: Final[Mapping[str, Method]] = {
     "subspace": _OnSteadyState(subspace_model),
     STATIC: _static_law,
 }
+
+
+# ---- checkpoints
+
+
+def fingerprint(*parts: str) -> str:
+    """One hash of all that decides a training: its configuration and its data."""
+    return sha256("\n".join(parts).encode()).hexdigest()
+
+
+def write_checkpoint(file: Path, progress: TrainingState, key: str) -> None:
+    """Write atomically: a kill at any time leaves the last complete step."""
+    arrays = {"theta": progress.theta}
+    if progress.best_theta is not None:
+        arrays["best_theta"] = progress.best_theta
+    if progress.moments is not None:
+        arrays["first"] = progress.moments.first
+        arrays["second"] = progress.moments.second
+    state = {
+        "start": progress.start,
+        "stage": progress.stage,
+        "iteration": progress.iteration,
+        "damping": [progress.damping.value, progress.damping.growth],
+        "adam_steps": None if progress.moments is None else progress.moments.steps,
+        "best_score": float(progress.best_score).hex(),
+        "since_best": progress.since_best,
+        "history": [asdict(row) for row in progress.history],
+    }
+    header = {"schema": _CHECKPOINT_SCHEMA, "key": key, "state": json.dumps(state)}
+    # A copy makes every array contiguous and its own, which is what gets written.
+    arrays = {name: np.array(value) for name, value in arrays.items()}
+    header["sha256"] = _digest(arrays, header["state"])
+    atomic_write_bytes(file, save_arrays(arrays, header))
+
+
+def _digest(arrays: Mapping[str, NDArray[Any]], state: str) -> str:
+    """Hash of all that a training goes on from."""
+    parts = (
+        f"{name} {array.dtype} {array.shape} {sha256(array.tobytes()).hexdigest()}"
+        for name, array in sorted(arrays.items())
+    )
+    return fingerprint(state, *parts)
+
+
+def read_checkpoint(file: Path, key: str) -> TrainingState:
+    """Read what `write_checkpoint` wrote.
+
+    Raises `ModelError` if it cannot be read, or if it is of another training.
+    """
+    arrays, state, found = _read(file)
+    if found != key:
+        raise ModelError(
+            "the checkpoint belongs to a training with another configuration or other data",
+            file=file,
+            hint="Restore them, or train without --resume into another folder",
+        )
+    try:
+        return _state_of(arrays, state)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise _unreadable(file, error) from None
+
+
+def _state_of(arrays: dict[str, Any], state: dict[str, Any]) -> TrainingState:
+    moments = None
+    if state["adam_steps"] is not None:
+        moments = Moments(arrays["first"], arrays["second"], state["adam_steps"])
+    return TrainingState(
+        theta=arrays["theta"],
+        start=state["start"],
+        stage=state["stage"],
+        iteration=state["iteration"],
+        damping=Damping(*state["damping"]),
+        moments=moments,
+        best_theta=arrays.get("best_theta"),
+        best_score=float.fromhex(state["best_score"]),
+        since_best=state["since_best"],
+        history=tuple(HistoryRow(**row) for row in state["history"]),
+    )
+
+
+def _read(file: Path) -> tuple[dict[str, Any], dict[str, Any], str | None]:
+    """Arrays and state of a checkpoint, and the key of its training."""
+    try:
+        with safe_open(file, framework="numpy") as stored:
+            header = stored.metadata()
+            arrays = {name: stored.get_tensor(name) for name in stored.keys()}  # noqa: SIM118
+        state, stated, key = json.loads(header["state"]), header["sha256"], header.get("key")
+    except (SafetensorError, ValueError, KeyError, TypeError, RecursionError) as error:
+        raise _unreadable(file, error) from None
+    if stated != _digest(arrays, header["state"]):
+        raise _unreadable(file, ValueError("it was altered"))
+    return arrays, state, key
+
+
+def _unreadable(file: Path, error: Exception) -> ModelError:
+    problem = f"the checkpoint cannot be read: {type(error).__name__}: {error}"
+    return ModelError(problem, file=file, hint="Train without --resume")

@@ -91,7 +91,6 @@ class HeldOut(NamedTuple):
     """
 
     log: str
-    recording: str
     piece: str
     whole: bool
     models: FloatArray
@@ -281,7 +280,7 @@ def held_out(
         *(baselines.simulate(kind, run.steady, start, own.dt_s) for kind in SIMPLE),
     )
     return HeldOut(
-        log.name, log.source.file, fold.piece(log), fold.whole,
+        log.name, fold.piece(log), fold.whole,
         np.stack(models), run.steady, run.measured, own.steady.inside(inputs), own.dt_s,
     )  # fmt: skip
 

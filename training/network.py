@@ -9,22 +9,21 @@ others, since the ARX fit of a smooth recording is often an integrator that a fr
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
 from narxcal.narx.config import NarxConfig
-from narxcal.narx.network import NarxModel, Scaling, Weights, history_before, tap
+from narxcal.narx.network import NarxModel, Scaling, Weights, tap
 from narxcal.record import Record, check_measured, check_records
 from narxcal.support.arrays import FloatArray
+from narxcal.support.files import finite
 from narxcal.support.interrupt import Interrupt, held_interrupt
-from training import adam
-from training.adam import Moments
 from training.config import TrainConfig
 from training.free_run import FreeRunProblem, cut_windows
-from training.levenberg_marquardt import Damping, minimise, minimise_geodesic
+from training.optimisers import Damping, Moments, adam, minimise, minimise_geodesic
 
 _POLES = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98, 0.995)
 _RIDGE = 1e-6
@@ -102,19 +101,29 @@ def _candidates(model: NarxModel, records: Sequence[Record]) -> list[tuple[Float
 
 
 def _regression(model: NarxModel, records: Sequence[Record]) -> tuple[FloatArray, FloatArray]:
-    """Phi (n, f) and the next outputs (n, o) over all rows whose history is known."""
-    lags, taps, moving = model.config.lags, model.config.taps, model.config.moving
-    rows, targets = [], []
+    """Phi (n, f) and the next outputs (n, o) of all records; moving inputs alone if anchored."""
+    moving, parts = model.config.moving, []
     for record in records:
         u, y = model.input_scaling.down(record.u), model.output_scaling.down(record.y)
         if moving:
             u = np.where(np.arange(u.shape[1]) < moving, u, 0.0)
-        past = np.array([history_before(y, k, lags) for k in range(lags, len(y))])
-        phi = np.concatenate([past, tap(u, taps)[lags:]], axis=1)
-        known = np.isfinite(phi).all(axis=1) & np.isfinite(y[lags:]).all(axis=1)
-        rows.append(phi[known])
-        targets.append(y[lags:][known])
-    return np.concatenate(rows), np.concatenate(targets)
+        parts.append(regression(u, y, model.config.lags, model.config.taps))
+    phi, target = zip(*parts, strict=True)
+    return np.concatenate(phi), np.concatenate(target)
+
+
+def regression(
+    u: FloatArray, y: FloatArray, lags: int, taps: Sequence[int]
+) -> tuple[FloatArray, FloatArray]:
+    """Past outputs, newest first, and tapped inputs (n, f), and the outputs (n, o) that follow.
+
+    Rows with an unknown value are left out, and those without a whole past.
+    """
+    rows = np.arange(min(lags, len(y)), len(y))
+    past = [y[rows - i] for i in range(1, lags + 1)]
+    phi = np.concatenate([*past, tap(u, taps)[rows]], axis=1)
+    known = np.isfinite(phi).all(axis=1) & np.isfinite(y[rows]).all(axis=1)
+    return phi[known], y[rows][known]
 
 
 def _least_squares(
@@ -171,6 +180,33 @@ class FitResult:
     status: str
     score: float
     history: tuple[HistoryRow, ...]
+
+    def to_arrays(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, FloatArray]]:
+        """Split into the structure of the model and the result, both JSON-able, and arrays."""
+        network, arrays = self.model.to_arrays()
+        history = [asdict(row) for row in self.history]
+        result = {"status": self.status, "score": self.score, "history": history}
+        return network, finite(result), arrays
+
+    @classmethod
+    def from_arrays(
+        cls,
+        network: Mapping[str, Any],
+        result: Mapping[str, Any],
+        arrays: Mapping[str, FloatArray],
+    ) -> Self:
+        """Inverse of `to_arrays`."""
+        return cls(
+            model=NarxModel.from_arrays(network, arrays),
+            status=result["status"],
+            score=known_numbers(result)["score"],
+            history=tuple(HistoryRow(**known_numbers(row)) for row in result["history"]),
+        )
+
+
+def known_numbers(row: Mapping[str, Any]) -> dict[str, Any]:
+    """The values of a JSON document, NaN where it has null: JSON has no NaN."""
+    return {key: np.nan if value is None else value for key, value in row.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -310,7 +346,7 @@ class _Run:
         theta, decay = progress.theta, self.config.decay
         if self.config.optimiser == "adam":
             rate = self.config.rate
-            for move in adam.minimise(problem, theta, rate, decay, progress.moments):
+            for move in adam(problem, theta, rate, decay, progress.moments):
                 yield replace(progress, theta=move.theta, moments=move.moments), move.loss
             return
         descend = minimise_geodesic if self.config.optimiser == "geodesic" else minimise

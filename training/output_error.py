@@ -16,7 +16,7 @@ sensitivities are exact, and a step that does not lower J is rejected, so the me
 through kinks and can only stop early at one. Then the status is "stalled".
 
 Sources: Maine and Iliff, NASA RP-1168, 1985; Klein and Morelli, Aircraft System Identification,
-2006, chapter 6; bounds by projection with an active set, Bertsekas, SIAM J. Control 20(2), 1982.
+2006, chapter 6; bounds by `training.optimisers.within`.
 """
 
 from __future__ import annotations
@@ -28,18 +28,17 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from narxcal.output_error.engine import Parameter
 from narxcal.record import Record, check_measured, check_records
-from narxcal.support.arrays import BoolArray, FloatArray
+from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, DataError, ModelError
-from training.levenberg_marquardt import Proposal, minimise
 from training.likelihood_statistics import (
     coloured_covariance,
     information,
     whiteness,
 )
+from training.optimisers import Equations, minimise, stopped, within
 from training.output_error_result import OutputErrorFit, Status
 
 _COMPLEX_STEP = 1e-20
@@ -166,19 +165,16 @@ def layout_of(model: Model, records: Sequence[Record], plan: Plan) -> Layout:
 
 
 @dataclass(frozen=True, eq=False)
-class _Point:
-    """Cost, its gradient (P,) and the information matrix (P, P) at one theta."""
+class _Point(Equations):
+    """Cost, its gradient and the information matrix at one theta, and what they are made of."""
 
-    loss: float
-    gradient: FloatArray
-    hessian: FloatArray
     residuals: tuple[FloatArray, ...]
     sensitivities: tuple[FloatArray, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class _Likelihood:
-    """J of all records for a given sigma (p,): a problem for training.levenberg_marquardt."""
+    """J of all records for a given sigma (p,): a problem for training.optimisers."""
 
     model: Model
     records: Sequence[Record]
@@ -335,41 +331,12 @@ def _descend(problem: _Likelihood, theta: FloatArray, limit: int) -> tuple[Float
     """Levenberg-Marquardt within the bounds until J drops by almost nothing."""
     low, high = problem.layout.bounds()
     before, count = problem.loss(theta), 0
-    for step in islice(minimise(problem, theta, propose=_within(low, high)), limit):
+    for step in islice(minimise(problem, theta, propose=within(low, high)), limit):
         theta, count = step.theta, count + 1
         if before - step.loss < _SMALL_DROP:
             break
         before = step.loss
     return theta, count
-
-
-def _within(low: FloatArray, high: FloatArray) -> Proposal:
-    """Damped steps projected on the bounds; parameters that a bound stops are left out."""
-
-    def propose(
-        theta: FloatArray, slopes: tuple[FloatArray, FloatArray], damping: float
-    ) -> tuple[FloatArray, FloatArray]:
-        gradient, hessian = slopes
-        move = np.flatnonzero(~_stopped(theta, gradient, low, high))
-        step = np.zeros_like(theta)
-        own = hessian[np.ix_(move, move)]
-        diagonal = np.diag(own)
-        own = own + np.diag(damping * diagonal + (diagonal == 0.0))
-        try:
-            step[move] = cho_solve(cho_factor(own), -gradient[move])
-        except LinAlgError:
-            return step, step
-        step = np.clip(theta + step, low, high) - theta
-        return step, step
-
-    return propose
-
-
-def _stopped(
-    theta: FloatArray, gradient: FloatArray, low: FloatArray, high: FloatArray
-) -> BoolArray:
-    """Parameters on a bound beyond which J would fall."""
-    return ((theta <= low) & (gradient > 0)) | ((theta >= high) & (gradient < 0))
 
 
 def _result(
@@ -421,7 +388,7 @@ def _status(
     """Say how the search ended, and what to do next."""
     unidentifiable, limit = known
     low, high = problem.layout.bounds()
-    move = np.flatnonzero(~_stopped(theta, point.gradient, low, high))
+    move = np.flatnonzero(~stopped(theta, point.gradient, low, high))
     own = information(point.hessian[np.ix_(move, move)], [str(k) for k in move])
     inverse = np.where(np.isfinite(own.covariance), own.covariance, 0.0)
     decrement = float(point.gradient[move] @ inverse @ point.gradient[move])

@@ -11,11 +11,12 @@ from __future__ import annotations
 import os
 import platform
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from fnmatch import fnmatch
+from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -42,9 +43,11 @@ from narxcal.steady.fitted import FittedSteadyState
 from narxcal.steady.model import SteadyStateModel
 from narxcal.support.arrays import FloatArray, known_mean
 from narxcal.support.errors import DataError
+from narxcal.support.parallel import in_processes
 from narxcal.support.progress import Progress, silent
 from training.baselines import Baselines, run_of
 from training.config import RunConfig, SplitConfig
+from training.folds import Plan
 from training.levels import prior_scatter
 from training.masking import learnable
 from training.methods import TrainOptions, method_of
@@ -53,6 +56,7 @@ from training.records import LEAST_WIDTHS, Split, split_logs
 from training.redundancy_fit import learn
 from training.steady_fit import SteadyQuality
 
+T = TypeVar("T")
 # Scatter of recordings of a fleet, as a share of the tolerance that level checks allow. Its prior
 # counts as two recordings. Chosen by one flown fleet and seven recorders; with a second fleet 0.35
 # and 1.4 recordings are the most likely (`python -m eval.bench --fleets`).
@@ -165,7 +169,7 @@ def _calibrated(config: RunConfig, base: Path, split: Split, options: TrainOptio
     calibration = calibration.with_interval(interval_of(held, calibration.output_names))
     calibration = calibration.reaching(*input_reach(split.train, calibration.input_names))
     options.progress(0, 1, "holding inputs constant")
-    lags = Baselines.from_json(entries["baselines"]).lag.members(calibration.dt_s)
+    lags = Baselines.from_json(entries["baselines"]).lags(calibration.dt_s)
     calibration, certificate, lost = settling(calibration, lags)
     if lost:
         # Where only a decay bound was added, the held-out runs without it stand in.
@@ -380,3 +384,27 @@ def _steady_record(quality: SteadyQuality | None, steady: SteadyStateModel) -> S
         exponents=layout.exponents,
         assumed=layout.assumed,
     )
+
+
+def run_plans(
+    plans: Sequence[Plan],
+    config: RunConfig,
+    base: Path,
+    judge: Callable[[Bundle, Plan], T],
+    jobs: int = -1,
+) -> Iterator[T]:
+    """Calibrate once per plan and yield what `judge` makes of it, in the order of the plans.
+
+    Logs are prepared and screened, masked inputs still NaN. Plans run in parallel processes of one
+    thread each (all cores by default); the numbers do not depend on `jobs`.
+    `judge` has to be a function of a module, and what it returns must be small.
+    """
+    single = config.having(train={"threads": 1})
+    task = partial(_run_plan, config=single, base=base, judge=judge)
+    return in_processes(task, plans, jobs)
+
+
+def _run_plan(plan: Plan, config: RunConfig, base: Path, judge: Callable[[Bundle, Plan], T]) -> T:
+    train, test = (tuple(part.log for part in parts) for parts in (plan.train, plan.test))
+    options = TrainOptions(screened=True)
+    return judge(calibrate(config, base, Split(train, (), test), options), plan)

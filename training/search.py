@@ -1,4 +1,9 @@
-"""What the rungs of a choice share: records, folds, a budget of work, and what was tried.
+"""What the rungs of the ladder share: records, what is held out of them, what was tried, a budget.
+
+Records of any system have no altitude or power: of fewer than four, blocks are held out, each run
+free from two starts. With e the RMS errors of a piece in standard deviations of the outputs, forms
+are compared piece by piece through ln e: a piece on which every form errs much, such as a record of
+another kind, counts as much as any other. The score of a form is the geometric mean of e.
 
 Work is counted in nominal microseconds, so that a choice does not depend on how busy the machine
 is: what a step of Levenberg-Marquardt consists of, times rates that a command measures.
@@ -16,10 +21,10 @@ import numpy as np
 
 from narxcal.narx.forms import DynamicModel
 from narxcal.narx.network import Scaling
-from narxcal.record import Record
+from narxcal.record import Record, known_start
+from narxcal.support.arrays import FloatArray, spans
 from narxcal.support.progress import Progress
-from training.folds import RecordFold, by_piece
-from training.ranking import Build, Form, Tried
+from training.folds import surely_below
 
 UNITS_PER_S = 1_000_000  # nominal microseconds in a CPU second
 _EMERGENCY = 4.0, 60.0  # the clock stops the search at so many times the limit and CPU s more
@@ -28,8 +33,59 @@ NETWORK, LATENT, MEAN = "NARX network", "latent states", "mean"
 FEW = 400  # samples per fold on which no form is worth trying
 PLENTY = 30.0  # rows per parameter beyond which every further one is skipped while searching
 _FAR = 3.0  # times the lowest loss of several draws: twice its error or nearly so
+_BETTER = 0.98  # of a simpler form's score, as in training.lags: folds have less data than the fit
+_LEAST_ERROR = 1e-9  # standard deviations: pieces without any error compare, too
+FOLDS = 4
+WINDOW = 50  # measured samples before the longer of two held-out runs, at most a fifth of it
+_PARTS = 3  # of a record from which one fold holds blocks out
+_LONG = 4 * WINDOW  # samples of such a block at least: at most a quarter of it is the start
+SHORTEST = 8  # samples of a piece; fewer leave nothing to hold out
 
 T = TypeVar("T")
+Build = Callable[[float], DynamicModel]  # fit with a share of what is left of the budget
+
+
+@dataclass(frozen=True)
+class Form:
+    """What is tried: rung, description, number of parameters, samples per fold, and its sizes."""
+
+    rung: str
+    text: str
+    parameters: int
+    samples: int
+    delay: tuple[int, ...] = ()
+    order: int = 0
+    hidden: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Tried:
+    """A form with its score by held-out piece, held-out errors and the fit to all records.
+
+    One that is not `whole` was judged on some of the folds, and can't lead.
+    """
+
+    form: Form
+    scores: FloatArray
+    errors: tuple[FloatArray, ...]
+    build: Build
+    whole: bool = True
+
+    @property
+    def logs(self) -> FloatArray:
+        """Natural logarithm of the error of each piece; infinite where a free run is not finite."""
+        known = np.isfinite(self.scores)
+        return np.log(np.where(known, np.maximum(self.scores, _LEAST_ERROR), np.inf))
+
+    @property
+    def score(self) -> float:
+        """Geometric mean over pieces; infinite where one has no finite free run."""
+        return float(np.exp(np.mean(self.logs)))
+
+
+def beats(one: Tried, other: Tried) -> bool:
+    """Whether `one` is clearly better (`training.folds.surely_below`), and by two percent."""
+    return bool(surely_below(one.logs - other.logs, -float(np.log(_BETTER))))
 
 
 @dataclass(frozen=True)
@@ -209,3 +265,130 @@ def most_samples(cost: Callable[[int], float], units: float, limit: int) -> int:
 def dead(delay: tuple[int, ...]) -> str:
     """Dead times in words."""
     return f", dead time {', '.join(map(str, delay))}" if any(delay) else ""
+
+
+# ---- what is held out of records
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A held-out free run: all rows of `record` from `begin` on, `start` samples of it given."""
+
+    record: Record
+    begin: int
+    start: int
+
+    def error(self, model: DynamicModel) -> FloatArray:
+        """Free run less measurement (scored samples, outputs)."""
+        u, y = self.record.u[self.begin :], self.record.y[self.begin :]
+        free = model.simulate(u, known_start(y, self.start))
+        return (free - y)[self.start :]
+
+
+@dataclass(frozen=True, eq=False)
+class RecordFold:
+    """Records to fit to, and held-out runs to judge on."""
+
+    fit: tuple[Record, ...]
+    held: tuple[Run, ...]
+
+
+def record_folds(records: Sequence[Record], gap: int, count: int = 2 * FOLDS) -> list[RecordFold]:
+    """Held-out records, or blocks where there are fewer than four; `gap` samples around left out.
+
+    A fold of blocks holds out a sixth of all samples. Long records give two or three shorter blocks
+    from different parts: a manoeuvre that is flown once would otherwise be held out whole, and the
+    folds would ask for what no fit can know. Blocks overlap by a third from fold to fold, so that
+    what happens rarely is not always at the edge of one.
+    """
+    if len(records) >= FOLDS:
+        turns = min(count, len(records))
+        groups = [
+            [(k, 0, len(records[k])) for k in range(turn, len(records), turns)]
+            for turn in range(turns)
+        ]
+    else:
+        each = -(-count // len(records))
+        groups = [
+            [(k, a, b) for a, b in blocks]
+            for k, record in enumerate(records)
+            for blocks in _blocks(len(record), _block(record, len(records), each), each)
+        ]
+    found = []
+    for held in groups:
+        fit = [part for k, record in enumerate(records) for part in _without(record, k, held, gap)]
+        runs = [run for k, a, b in held for run in runs_of(_cut_record(records[k], a, b))]
+        if fit and runs:
+            found.append(RecordFold(tuple(fit), tuple(runs)))
+    return found
+
+
+def _blocks(length: int, held: int, turns: int) -> list[list[tuple[int, int]]]:
+    """In every turn `held` samples, in one to three blocks from different parts of a record."""
+    parts = min(max(held // _LONG, 1), _PARTS)
+    block, part = held // parts, length // parts
+    firsts = np.linspace(0, part - block, turns).astype(int).tolist()
+    return [
+        [
+            (first, first + block)
+            for i in range(parts)
+            for first in [i * part + firsts[(turn + i * turns // parts) % turns]]
+        ]
+        for turn in range(turns)
+    ]
+
+
+def _block(record: Record, records: int, each: int) -> int:
+    """Length of a held-out block of one of few records."""
+    return min(max(len(record) * records // 6, len(record) // each), len(record) // 2)
+
+
+def _cut_record(record: Record, a: int, b: int) -> Record:
+    weight = None if record.weight is None else record.weight[a:b]
+    return Record(record.u[a:b], record.y[a:b], f"{record.name}[{a}:{b}]", weight)
+
+
+def _without(
+    record: Record, number: int, held: Sequence[tuple[int, int, int]], gap: int
+) -> list[Record]:
+    """What is left of a record, in pieces long enough to fit."""
+    keep = np.ones(len(record), dtype=bool)
+    for k, a, b in held:
+        if k == number:
+            keep[max(a - gap, 0) if a else 0 : b + gap if b < len(record) else b] = False
+    return [_cut_record(record, a, b) for a, b in spans(keep) if b - a >= SHORTEST]
+
+
+def runs_of(record: Record) -> list[Run]:
+    """From the beginning with a window of outputs, from a third of it with half that window."""
+    length = len(record)
+    if length < SHORTEST:
+        return []
+    window = max(min(WINDOW, length // 5), 1)
+    found = [Run(record, 0, window), Run(record, length // 3, max(window // 2, 1))]
+    return [run for run in found if np.isfinite(record.y[run.begin + run.start :]).any()]
+
+
+def thinned(records: Sequence[Record], most: int) -> list[Record]:
+    """Records, or contiguous parts spread over each where all have more samples than `most`."""
+    total = sum(map(len, records))
+    if total <= most:
+        return list(records)
+    found = []
+    for record in records:
+        length = int(len(record) * most / total)
+        chunks = max(min(4, length // 1000), 1)
+        each = max(length // chunks, 4 * SHORTEST)
+        for first in np.linspace(0, max(len(record) - each, 0), chunks).astype(int).tolist():
+            part = _cut_record(record, first, min(first + each, len(record)))
+            if np.isfinite(part.y).any():
+                found.append(part)
+    return found
+
+
+def by_piece(runs: Sequence[Run], errors: Sequence[FloatArray]) -> list[float]:
+    """Root mean square over the runs of each held-out piece."""
+    found: dict[str, list[FloatArray]] = {}
+    for run, error in zip(runs, errors, strict=True):
+        found.setdefault(run.record.name, []).append(error.ravel() ** 2)
+    return [float(np.sqrt(np.nanmean(np.concatenate(each)))) for each in found.values()]

@@ -16,8 +16,8 @@ from scipy.optimize import Bounds, differential_evolution
 from narxcal.static_models.model import Columns, StaticModel
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError, ModelError
-from training.levenberg_marquardt import minimise
-from training.swarm import PAPER, STANDARD, swarm
+from training.optimisers import Equations, minimise, within
+from training.swarm import Draws, swarm
 
 Estimator = Literal["levenberg-marquardt", "swarm", "swarm-paper", "evolution"]
 SEARCHES: tuple[Estimator, ...] = ("levenberg-marquardt", "swarm", "swarm-paper", "evolution")
@@ -165,17 +165,8 @@ class _Problem:
 
 
 @dataclass(frozen=True, eq=False)
-class Normal:
-    """Loss and normal equations of a least-squares problem at one point."""
-
-    loss: float
-    gradient: FloatArray
-    hessian: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
 class Boxed:
-    """Least squares over a box, as a problem of `training.levenberg_marquardt`.
+    """Least squares over a box, as a problem of `training.optimisers`.
 
     `residuals` maps (..., F) to (..., rows). The unknown is x = (theta - low)/(high - low).
     """
@@ -193,32 +184,19 @@ class Boxed:
         r = self.residuals(self.theta(x))
         return 0.5 * float(r @ r)
 
-    def normal_equations(self, x: FloatArray) -> Normal:
+    def normal_equations(self, x: FloatArray) -> Equations:
         """Gradient and Gauss-Newton matrix from differences, central inside the box."""
         r, steps = self.residuals(self.theta(x)), _STEP * np.eye(len(x))
         ahead, behind = np.minimum(x + steps, 1.0), np.maximum(x - steps, 0.0)
         ends = self.residuals(self.theta(np.concatenate([ahead, behind])))
         J = (ends[: len(x)] - ends[len(x) :]) / np.diag(ahead - behind)[:, np.newaxis]
-        return Normal(0.5 * float(r @ r), J @ r, J @ J.T)
-
-    def propose(
-        self, theta: FloatArray, slopes: tuple[FloatArray, FloatArray], damping: float
-    ) -> tuple[FloatArray, FloatArray]:
-        """Damped step of the parameters not pressed against a bound, clipped to the box."""
-        gradient, hessian = slopes
-        free = ~(((theta <= 0.0) & (gradient > 0.0)) | ((theta >= 1.0) & (gradient < 0.0)))
-        step = np.zeros_like(theta)
-        if free.any():
-            part = hessian[np.ix_(free, free)]
-            diagonal = np.maximum(np.diag(part), 1e-12 * np.diag(part).max() + 1e-300)
-            step[free] = np.linalg.solve(part + damping * np.diag(diagonal), -gradient[free])
-        step = np.clip(theta + step, 0.0, 1.0) - theta
-        return step, step
+        return Equations(0.5 * float(r @ r), J @ r, J @ J.T)
 
     def minimum(self, start: FloatArray) -> tuple[FloatArray, str]:
         """Minimise from `start` (F,) by Levenberg-Marquardt; returns theta and the status."""
         x, last = (start - self.low) / (self.high - self.low), np.inf
-        for count, step in enumerate(minimise(self, x, propose=self.propose), start=1):
+        inside = within(np.zeros_like(x), np.ones_like(x))
+        for count, step in enumerate(minimise(self, x, propose=inside), start=1):
             x = step.theta
             if last - step.loss <= _LEAST_DECREASE * step.loss:
                 return self.theta(x), f"converged in {count} steps"
@@ -289,8 +267,8 @@ def _searched(problem: _Problem, settings: FitSettings) -> tuple[FloatArray, str
         )  # fmt: skip
         best, status = np.asarray(found.x), "converged" if found.success else str(found.message)
     else:
-        kind = STANDARD if settings.estimator == "swarm" else PAPER
-        swarmed = swarm(problem.costs, low, high, settings.seed, kind)
+        draws: Draws = "uniform" if settings.estimator == "swarm" else "binary"
+        swarmed = swarm(problem.costs, low, high, settings.seed, draws)
         best, status = swarmed.best, swarmed.status
     if settings.polish:
         best, local = boxed.minimum(best)

@@ -25,7 +25,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
-from narxcal.transfer.state_space import StateSpace
+from narxcal.transfer import StateSpace
 from training.static_fit import Boxed
 
 Record = tuple[FloatArray, FloatArray]
@@ -52,14 +52,13 @@ class SubspaceSettings:
 
 @dataclass(frozen=True, eq=False)
 class SubspaceFit:
-    """Model, initial state (n,) of every record, singular values, status and advice.
+    """Model, initial state (n,) of every record, status and advice.
 
     `rmse` (outputs,) is the error of the free run over all records, in the outputs' units.
     """
 
     model: StateSpace
     x0: tuple[FloatArray, ...]
-    singular_values: FloatArray
     rmse: FloatArray
     status: str
     advice: tuple[str, ...]
@@ -101,7 +100,7 @@ def subspace(
     whole = StateSpace(
         model.A, model.B / u_scale, y_scale[:, np.newaxis] * model.C, model.D, settings.dt_s,
     )  # fmt: skip
-    return SubspaceFit(whole, tuple(x0), singular, rmse, status, tuple(advice))
+    return SubspaceFit(whole, tuple(x0), rmse, status, tuple(advice))
 
 
 def input_matrices(

@@ -1,4 +1,11 @@
-"""Fit first- and second-order step responses to a scaled response (section 4.2 of the paper).
+"""Step responses of first- and second-order systems, and their fit (section 4.2).
+
+| symbol | meaning | unit |
+|---|---|---|
+| tau_0, T_d | time constant, delay | s |
+| xi, w | damping ratio, natural frequency | -, rad/s |
+| r, y | output over its static value, r scaled to 0 .. 1 | - |
+| t10, t90 | times at which y first reaches 0.1 and 0.9 | s |
 
 | kind | parameters found | by |
 |---|---|---|
@@ -6,31 +13,117 @@
 | first t90 | tau_0 = t90 / ln 10 | eq. 24 |
 | delayed | T_d by the paper's search over multiples of T_s, tau_0 = (t90 - T_d)/ln 10 | eq. 25 |
 | second | xi, w | least squares |
+
+Sources: equations 21 to 27 of the Citation X paper (26 and 27 are lost; the forms are the standard
+ones).
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from narxcal.support.arrays import FloatArray
-from narxcal.support.errors import DataError
-from narxcal.transfer.response import (
-    LN_EARLY,
-    LN_LATE,
-    FirstOrder,
-    SecondOrder,
-    System,
-    rise_times,
-)
+from narxcal.support.errors import DataError, ModelError
 from training.static_fit import Boxed
 
+LN_LATE, LN_EARLY = math.log(10.0), math.log(10.0 / 9.0)
 ResponseKind = Literal["first", "first t90", "delayed", "second"]
 KINDS: tuple[ResponseKind, ...] = ("first", "first t90", "delayed", "second")
 TOLERANCE = 0.10  # of t10 and of t90 (FAA AC 120-40B)
 _SINGLE_POLE = 3.0  # damping ratio above which the second time constant has no effect
+
+
+@dataclass(frozen=True)
+class FirstOrder:
+    """First-order lag with a delay: y = 1 - exp(-(t - T_d)/tau_0) (eqs 23, 25)."""
+
+    tau_s: float
+    delay_s: float = 0.0
+
+    def step(self, t: FloatArray) -> FloatArray:
+        """Unit step response at t (time,), zero before the delay."""
+        late = np.maximum(t - self.delay_s, 0.0)
+        return np.asarray(-np.expm1(-late / self.tau_s))
+
+
+@dataclass(frozen=True)
+class SecondOrder:
+    """Second-order system (eqs 26, 27), over-damped and under-damped by one formula.
+
+        y = 1 - exp(-xi w t) (cosh(a t) + (xi w / a) sinh(a t)),  a = w sqrt(xi^2 - 1)
+
+    a is imaginary for xi < 1; at xi = 1 the limit 1 - (1 + w t) exp(-w t) is reached smoothly.
+    """
+
+    xi: float
+    omega_radps: float
+
+    def step(self, t: FloatArray) -> FloatArray:
+        """Unit step response at t (time,), zero for t < 0; without overflow."""
+        late, decay = np.maximum(t, 0.0), self.xi * self.omega_radps
+        a = self.omega_radps * np.sqrt(complex(self.xi**2 - 1.0)) or 1e-30
+        slow, fall = np.exp((a - decay) * late), np.expm1(-2.0 * a * late)
+        even, odd = np.real(slow * (1.0 + 0.5 * fall)), np.real(-slow * fall / (2.0 * a))
+        return np.asarray(1.0 - even - decay * odd)
+
+
+System = FirstOrder | SecondOrder
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Scaling of a ratio to 0 .. 1 (eq. 22): y = (r - start)/(end - start)."""
+
+    start: float
+    end: float
+
+    @classmethod
+    def of(cls, ratio: FloatArray, *, name: str = "the response") -> Scale:
+        """Scaling of `ratio` (time,) by its first and last sample.
+
+        Raises `DataError` if it does not move: nothing to identify.
+        """
+        start, end = float(ratio[0]), float(ratio[-1])
+        if not abs(end - start) > 1e-9 * max(abs(start), abs(end)):
+            raise DataError(
+                f"{name} moves from {start:.6g} to {end:.6g}: the input never moves, or the output "
+                "does not follow it",
+                hint="Leave this record out",
+            )
+        return cls(start, end)
+
+    def scaled(self, ratio: FloatArray) -> FloatArray:
+        """Ratio to y."""
+        return np.asarray((ratio - self.start) / (self.end - self.start))
+
+    def ratio(self, y: FloatArray) -> FloatArray:
+        """Inverse: y to the ratio."""
+        return np.asarray(self.start + (self.end - self.start) * y)
+
+
+def rise_times(t: FloatArray, y: FloatArray) -> tuple[float, float]:
+    """Times (t10, t90) at which y (time,) first reaches 0.1 and 0.9, between samples linearly.
+
+    Raises `ModelError` if it does not within the record.
+    """
+    return _reached(t, y, 0.1), _reached(t, y, 0.9)
+
+
+def _reached(t: FloatArray, y: FloatArray, level: float) -> float:
+    above = y >= level
+    if not above.any():
+        raise ModelError(
+            f"the response does not reach {100.0 * level:.0f} % within {t[-1] - t[0]:.3g} s",
+            hint="Record it for longer",
+        )
+    k = int(np.argmax(above))
+    if k == 0:
+        return float(t[0])
+    return float(t[k - 1] + (t[k] - t[k - 1]) * (level - y[k - 1]) / (y[k] - y[k - 1]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +182,7 @@ def system_of(kind: ResponseKind, values: FloatArray) -> System:
 def search_delay(t10: float, t90: float, T_s: float) -> FloatArray:
     """T_d = 0, T_s, 2 T_s .. while the error of t10 falls; tau_0 by eq. 25: (tau_0, T_d).
 
-    The closed form is `FirstOrder.through(t10, t90)`; the search is within T_s of it.
+    The closed form tau_0 = (t90 - t10)/ln 9, T_d = t10 - tau_0 ln(10/9) is within T_s of it.
     """
 
     def early(T_d: float) -> float:

@@ -29,7 +29,7 @@ from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
 from narxcal.support.files import atomic_write_bytes
 from training.config import RunConfig, load_config
-from training.crossval import leave_one_flight_out
+from training.folds import leave_one_flight_out
 from training.pipeline import calibrate, configured_files
 from training.records import Split
 

@@ -23,8 +23,8 @@ from narxcal.narx.forms import DynamicModel
 from narxcal.record import Record
 from narxcal.support.errors import DataError
 from narxcal.support.progress import Progress, silent
-from training.choice import Limits, choose
 from training.estimator import Narx
+from training.ladder import Limits, choose
 
 SCHEMA = "narxcal.benchmark/1"
 OURS, FIXED, LINEAR, PUBLISHED = "Narx()", "Narx(None)", "linear", "published"

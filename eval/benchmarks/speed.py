@@ -42,12 +42,12 @@ from narxcal.narx.latent import Shape
 from narxcal.narx.network import NarxModel, Scaling
 from narxcal.record import Record
 from narxcal.support.arrays import FloatArray
-from training.adam import minimise
 from training.config import RunConfig, load_config
 from training.forms import drawn_networks, network_kind, network_size
 from training.free_run import FreeRunProblem, cut_windows
 from training.latent import Data, at_decay, fit_linear, grown
 from training.network import Material, net_of, new_model
+from training.optimisers import adam
 from training.pipeline import calibrate, prepare_logs
 from training.records import Split
 from training.search import counted
@@ -94,19 +94,19 @@ def _against_tsfast(model: NarxModel, record: Record) -> list[Row]:
     theirs = narx.NarxMLP(1, 1, na=2, nb=2, hidden_size=30, num_layers=1, washout=2, backend="c")
     both = np.concatenate([record.u, record.y], axis=1, dtype=np.float32)
     whole, windows = torch.from_numpy(both)[None], torch.from_numpy(both).reshape(-1, 100, 2)
-    adam = torch.optim.Adam(theirs.parameters())
+    optimiser = torch.optim.Adam(theirs.parameters())
 
     def run() -> None:
         with torch.no_grad():
             theirs(whole)
 
     def step() -> None:
-        adam.zero_grad()
+        optimiser.zero_grad()
         ((theirs(windows) - windows[..., 1:]) ** 2).mean().backward()
-        adam.step()
+        optimiser.step()
 
     problem = FreeRunProblem(net_of(model), cut_windows(model, [record], 100))
-    descent = minimise(problem, net_of(model).get_theta(), rate=1e-3)
+    descent = adam(problem, net_of(model).get_theta(), rate=1e-3)
     pairs = (
         ("free run", lambda: model.simulate(record.u, record.y[:1]), run, 0.5),
         ("gradient with Adam step", lambda: next(descent), step, 0.7),

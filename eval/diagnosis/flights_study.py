@@ -23,7 +23,7 @@ from eval.diagnosis.words import sentences
 from narxcal.channels import symbol
 from narxcal.support.arrays import FloatArray
 from training.config import RunConfig, load_config
-from training.crossval import leave_one_flight_out
+from training.folds import leave_one_flight_out
 from training.pipeline import calibrate, calibration_for, configured_files, prepare_logs
 from training.records import Split
 

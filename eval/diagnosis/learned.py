@@ -24,10 +24,11 @@ from narxcal.effects.library import hypotheses
 from narxcal.support.errors import DataError, ModelError
 from narxcal.support.files import atomic_write_text, sha256_of, to_json
 from training.config import RunConfig
-from training.crossval import LEAVE_ONE_OUT, Plan, Segment, run_plans
 from training.diagnosis.dictionary import Dictionary
 from training.diagnosis.discrepancy import Discrepancy, learn, read
 from training.diagnosis.emulator import choose_control, fit_emulators
+from training.folds import LEAVE_ONE_OUT, Plan, Segment
+from training.pipeline import run_plans
 from training.records import split_logs
 
 LEARNED: Final = "discrepancy.json"  # in a run folder

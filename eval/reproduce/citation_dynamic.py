@@ -30,8 +30,7 @@ from eval.reproduce.citation_static import (
 )
 from narxcal.channels import symbol
 from narxcal.support.arrays import FloatArray
-from narxcal.transfer.response import Scale, rise_times
-from narxcal.transfer.state_space import (
+from narxcal.transfer import (
     Form,
     Schedule,
     coordinates,
@@ -39,7 +38,14 @@ from narxcal.transfer.state_space import (
 )
 from narxcal.turbofan import VirtualEngine
 from training.subspace import SubspaceSettings, subspace
-from training.transfer_fit import ResponseKind, fit_response, rise_times_agree, system_of
+from training.transfer_fit import (
+    ResponseKind,
+    Scale,
+    fit_response,
+    rise_times,
+    rise_times_agree,
+    system_of,
+)
 
 # Numbers of the paper's figures of success and mean error.
 FIGURES: dict[Kind, tuple[int, int]] = {"step": (16, 17), "impulse": (18, 19), "ramp": (20, 21)}

@@ -43,8 +43,8 @@ from narxcal.atmosphere import air_state
 from narxcal.static_models.model import CP, GAS_R, K
 from narxcal.support.arrays import FloatArray
 from narxcal.support.progress import Progress, silent
-from narxcal.transfer.response import rise_times
 from training.static_fit import SEARCHES, Estimator
+from training.transfer_fit import rise_times
 
 BEST_THRUST = "Cold Thrust + correction (M, FPR)"
 _THRUST = ("Mattingly", "Torenbeek", "Aerospatiale", "Wanner")

@@ -35,7 +35,7 @@ from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, DataError
 from narxcal.support.parallel import in_processes
 from training.config import RunConfig, TrainConfig
-from training.crossval import Segment
+from training.folds import Segment
 from training.network import Material, fit_narx
 from training.pipeline import configured_files
 from training.records import Split, rest_records, split_logs

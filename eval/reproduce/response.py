@@ -29,7 +29,8 @@ from eval.transients import AssessedEvent, Assessment, tally
 from narxcal.calibration.bundle import Bundle
 from narxcal.channels import symbol
 from narxcal.support.progress import Progress, silent
-from training.crossval import divide, run_plans
+from training.folds import divide
+from training.pipeline import run_plans
 
 PAPER_PCT = 5.0  # below which the paper finds all its largest errors
 

@@ -8,7 +8,7 @@ Before the first sample the inputs are taken as constant.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Self
 
 import numpy as np
@@ -46,8 +46,7 @@ class TransportDelay:
 
     def to_json(self) -> dict[str, Any]:
         """JSON-able."""
-        times = {"delay_s": self.delay_s, "low_s": self.low_s, "high_s": self.high_s}
-        return {"channels": list(self.channels), **times}
+        return asdict(self)
 
     @classmethod
     def from_json(cls, stored: Mapping[str, Any], names: Sequence[str]) -> Self:

@@ -35,8 +35,7 @@ from narxcal.steady.model import ALTERED, SteadyStateModel
 from narxcal.steady.opening import steady_from_json, steady_to_json
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ModelError, NarxcalError
-from narxcal.transfer.scheduled import respond
-from narxcal.transfer.state_space import Schedule, StateSpace
+from narxcal.transfer import Schedule, StateSpace, respond
 
 
 class Dynamics(ABC):

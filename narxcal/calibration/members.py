@@ -18,7 +18,7 @@ stable members and a stable model of its own the mixture is stable: it feeds not
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any, Literal, NamedTuple, Self
 
@@ -29,7 +29,6 @@ from narxcal.support.compiled import compiled
 from narxcal.support.settings import read_stored
 
 Kind = Literal["steady_state", "first_order", "arx", "output_error"]
-KINDS: tuple[Kind, ...] = ("steady_state", "first_order", "arx", "output_error")
 
 
 @dataclass(frozen=True)
@@ -63,16 +62,7 @@ class Member:
 
     def to_json(self) -> dict[str, Any]:
         """JSON-able."""
-        return {
-            "kind": self.kind,
-            "channel": self.channel,
-            "push": self.push,
-            "pull": self.pull,
-            "poles": list(self.poles),
-            "gains": [list(row) for row in self.gains],
-            "offset": self.offset,
-            "weight": self.weight,
-        }
+        return asdict(self)
 
     @classmethod
     def from_json(cls, stored: Mapping[str, Any]) -> Self:

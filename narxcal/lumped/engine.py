@@ -32,7 +32,7 @@ from narxcal.lumped.rotors import (
     conditions,
     run,
 )
-from narxcal.narx.network import AT_START
+from narxcal.narx.network import AT_START, shaped
 from narxcal.support.arrays import BoolArray, FloatArray, IntArray
 from narxcal.support.dual import WIDTH, seeded
 from narxcal.support.errors import ModelError
@@ -264,7 +264,8 @@ class LumpedEngine:
         if meta.get("parameter_names") == _WITHOUT_HEAT:
             shapes["parameters"] = (len(names), len(_WITHOUT_HEAT))
         scales = dict.fromkeys(_SCALES, (len(names),))
-        found = {name: _checked(name, shape, arrays) for name, shape in (shapes | scales).items()}
+        hint = "Train again if another version of narxcal wrote the folder"
+        found = shaped(arrays, shapes | scales, "lag array", hint)
         if "parameters" in shapes:
             missing = len(LIMITED) - shapes["parameters"][1]
             found["parameters"] = np.pad(found["parameters"], ((0, 0), (0, missing)))
@@ -285,14 +286,3 @@ def core_of(names: Sequence[str]) -> int:
 def _rows(measured: FloatArray | None, drive: Drive) -> FloatArray:
     none = np.empty((0, drive.ss.shape[1]))
     return none if measured is None else np.ascontiguousarray(measured)
-
-
-def _checked(name: str, shape: tuple[int, ...], arrays: Mapping[str, FloatArray]) -> FloatArray:
-    found = arrays.get(name)
-    if found is None or found.shape != shape:
-        given = None if found is None else found.shape
-        raise ModelError(
-            f"lag array '{name}' has to be of shape {shape}, found {given}",
-            hint="Train again if another version of narxcal wrote the folder",
-        )
-    return np.array(found, dtype=np.float64)

@@ -27,10 +27,9 @@ from typing import Any, Self
 import numpy as np
 
 from narxcal.narx.kernels import tanh_of
-from narxcal.narx.network import Scaling
+from narxcal.narx.network import Scaling, shaped
 from narxcal.support.arrays import FloatArray
 from narxcal.support.compiled import compiled
-from narxcal.support.errors import ModelError
 
 Parts = tuple[FloatArray, FloatArray, FloatArray]  # L, M, W
 
@@ -357,10 +356,8 @@ class LatentModel:
         return meta, {
             "theta": self.theta.copy(), "low": low, "high": high,
             "noise": self.noise, "persistence": self.persistence,
-            "input_scaling.centre": self.input_scaling.centre,
-            "input_scaling.scale": self.input_scaling.scale,
-            "output_scaling.centre": self.output_scaling.centre,
-            "output_scaling.scale": self.output_scaling.scale,
+            **self.input_scaling.named("input_scaling"),
+            **self.output_scaling.named("output_scaling"),
         }  # fmt: skip
 
     @classmethod
@@ -373,13 +370,7 @@ class LatentModel:
             "input_scaling.centre": m, "input_scaling.scale": m,
             "output_scaling.centre": p, "output_scaling.scale": p,
         }  # fmt: skip
-        kept = {}
-        for name, length in wanted.items():
-            found = arrays.get(name)
-            if found is None or found.shape != (length,):
-                given = None if found is None else found.shape
-                raise ModelError(f"array '{name}' has to be of shape ({length},), found {given}")
-            kept[name] = np.array(found, dtype=np.float64)
+        kept = shaped(arrays, {name: (length,) for name, length in wanted.items()}, "array")
         return cls(
             shape, kept["theta"], (kept["low"], kept["high"]),
             Scaling.stored(kept, "input_scaling"), Scaling.stored(kept, "output_scaling"),

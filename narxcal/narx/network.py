@@ -207,6 +207,10 @@ class Scaling:
             raise ModelError(f"'{name}.centre' is too large for its scale to leave a digit")
         return cls(centre, scale)
 
+    def named(self, name: str) -> dict[str, FloatArray]:
+        """Arrays by the names under which a model stores them."""
+        return {f"{name}.centre": self.centre, f"{name}.scale": self.scale}
+
     def down(self, values: FloatArray) -> FloatArray:
         """To scaled units."""
         return (values - self.centre) / self.scale
@@ -339,9 +343,8 @@ class NarxModel:
             "outputs": self.outputs,
         }
         arrays = {name: array.copy() for name, array in self.weights.named().items()}
-        for name, scaling in (("input", self.input_scaling), ("output", self.output_scaling)):
-            arrays[f"{name}_scaling.centre"] = scaling.centre
-            arrays[f"{name}_scaling.scale"] = scaling.scale
+        arrays |= self.input_scaling.named("input_scaling")
+        arrays |= self.output_scaling.named("output_scaling")
         return meta, arrays
 
     @classmethod
@@ -349,15 +352,27 @@ class NarxModel:
         """Rebuild from `to_arrays`; `ModelError` where an array is missing or unusable."""
         config = NarxConfig.parse(meta["config"])
         shapes = _shapes(config, int(meta["inputs"]), int(meta["outputs"]))
-        kept = {}
-        for name, shape in shapes.items():
-            found = arrays.get(name)
-            if found is None or found.shape != shape:
-                given = None if found is None else found.shape
-                raise ModelError(f"weight '{name}' has to be of shape {shape}, found {given}")
-            kept[name] = np.array(found, dtype=np.float64)
+        kept = shaped(arrays, shapes, "weight")
         scalings = (Scaling.stored(kept, f"{name}_scaling") for name in ("input", "output"))
         return cls(Weights.of(config, kept), *scalings)
+
+
+def shaped(
+    arrays: Mapping[str, FloatArray],
+    shapes: Mapping[str, tuple[int, ...]],
+    what: str,
+    hint: str | None = None,
+) -> dict[str, FloatArray]:
+    """Copy stored arrays; raises `ModelError` for `what` is missing or of another shape."""
+    kept = {}
+    for name, shape in shapes.items():
+        found = arrays.get(name)
+        if found is None or found.shape != shape:
+            given = None if found is None else found.shape
+            problem = f"{what} '{name}' has to be of shape {shape}, found {given}"
+            raise ModelError(problem, hint=hint)
+        kept[name] = np.array(found, dtype=np.float64)
+    return kept
 
 
 def _shapes(config: NarxConfig, inputs: int, outputs: int) -> dict[str, tuple[int, ...]]:

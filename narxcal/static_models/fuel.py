@@ -30,7 +30,6 @@ from narxcal.static_models.thrust import NO_GENERATOR, gas_generator
 from narxcal.support.arrays import FloatArray
 
 KGPH_PER_KN = 1e3 / 9.80665  # kg/h of fuel at 1 kN and a TSFC of 1 kg/kgf/h
-LBPS_PER_KGPH = 1.0 / (0.45359237 * 3600.0)  # the paper's unit
 _KNOT_MPS = 1852.0 / 3600.0
 Phase = Literal["cruise", "nominal", "powered", "idle"]
 

@@ -27,7 +27,7 @@ _MODULES = {
     "callable": "narxcal.steady.function",
     "fmu": "narxcal.steady.fmu",
     "fitted": "narxcal.steady.fitted",
-    "static": "narxcal.steady.laws",
+    "static": "narxcal.static_models.model",
 }
 
 

@@ -16,7 +16,7 @@ from narxcal.calibration.bundle import load_bundle
 from narxcal.cli import main, train
 from narxcal.flight_test.sensors import first_order
 from training import pipeline
-from training.checkpoint import read_checkpoint, write_checkpoint
+from training.methods import read_checkpoint, write_checkpoint
 from training.network import TrainingState
 
 ROOT = Path(__file__).parents[2]

@@ -14,7 +14,7 @@ from narxcal.calibration.bundle import load_bundle, write_bundle
 from narxcal.cli import evaluate, fly, main
 from narxcal.flight_test import fly as flying
 from tests.crash import killed_everywhere
-from training.checkpoint import write_checkpoint
+from training.methods import write_checkpoint
 from training.network import TrainingState
 
 pytestmark = pytest.mark.slow

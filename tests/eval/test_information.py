@@ -8,7 +8,7 @@ from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.identified import IdentifiedCalibration, NoDynamics, ResponseDynamics
 from narxcal.steady.function import SteadyCallable
 from narxcal.support.errors import ModelError
-from narxcal.transfer.state_space import Schedule
+from narxcal.transfer import Schedule
 
 DT_S, TAU_S = 0.1, 1.3
 

@@ -20,7 +20,7 @@ from narxcal.output_error.engine import EngineFromSteady
 from narxcal.steady.fitted import FittedSteadyState, Layout
 from narxcal.steady.model import Envelope
 from narxcal.steady.table import SteadyTable
-from narxcal.transfer.state_space import Schedule, StateSpace
+from narxcal.transfer import Schedule, StateSpace
 
 INPUTS, OUTPUTS = ("FF_kgph", "ALT_ft", "Mach", "dT_C"), ("N1_pct", "N2_pct", "EGT_C")
 LOW, HIGH = np.array([100.0, 0.0, 0.0, -20.0]), np.array([700.0, 30e3, 0.6, 30.0])

@@ -17,7 +17,7 @@ from narxcal.export.compiler import Compiled, compiler
 from narxcal.export.dynamic import Exportable
 from narxcal.export.program import Program
 from narxcal.static_models import polynomial
-from narxcal.steady.laws import StaticLaws
+from narxcal.static_models.model import StaticLaws
 from narxcal.steady.model import Envelope
 from narxcal.support.errors import ModelError
 from tests.export import models

@@ -51,9 +51,15 @@ def log_of(outputs, lever):
     return Log("flight.csv", time_s, channels)
 
 
+def lag_run(push_s, pull_s, steady, start):
+    lag = FirstOrderLag(push_s, pull_s)
+    members = [lag.member(k, DT_S) for k in range(len(push_s))]
+    return np.column_stack([one.simulate(steady, start[k]) for k, one in enumerate(members)])
+
+
 def lagged(lever, push_s, pull_s):
     settled = Steady().outputs(lever[:, None])
-    return FirstOrderLag(push_s, pull_s).simulate(settled, settled[0], DT_S)
+    return lag_run(push_s, pull_s, settled, settled[0])
 
 
 def test_the_time_constants_of_push_and_pull_are_found():
@@ -64,7 +70,7 @@ def test_the_time_constants_of_push_and_pull_are_found():
 
 
 def test_a_symmetric_lag_steps_as_its_closed_form():
-    lag = FirstOrderLag((1.5,), (1.5,)).simulate(np.full((50, 1), 10.0), np.array([4.0]), DT_S)
+    lag = lag_run((1.5,), (1.5,), np.full((50, 1), 10.0), [4.0])
     expected = 10.0 - 6.0 * np.exp(-DT_S * np.arange(50) / 1.5)
     np.testing.assert_allclose(lag[:, 0], expected, rtol=1e-12)
 
@@ -73,8 +79,8 @@ def test_a_symmetric_lag_steps_as_its_closed_form():
 @settings(max_examples=20, deadline=None)
 def test_the_compiled_lag_gives_the_numbers_of_the_plain_one(seed, push, pull):
     settled = np.random.default_rng(seed).normal(size=(300, 1)).cumsum(axis=0)
-    lag = FirstOrderLag((-DT_S / math.log1p(-push),), (-DT_S / math.log1p(-pull),))
-    fast = lag.simulate(settled, np.array([1.0]), DT_S)[:, 0]
+    push_s, pull_s = (-DT_S / math.log1p(-gain) for gain in (push, pull))
+    fast = lag_run((push_s,), (pull_s,), settled, [1.0])[:, 0]
     plain = [1.0]
     for target in settled[1:, 0]:
         ahead = target - plain[-1]
@@ -86,16 +92,17 @@ def test_the_compiled_lag_gives_the_numbers_of_the_plain_one(seed, push, pull):
 SECOND, FIRST = np.array([1.5, -0.56, -0.9, 0.3]), np.array([0.8, -0.5])
 
 
-def linear_of(*coefficients):
-    members = [linear("arx", k, np.array(c), len(coefficients)) for k, c in enumerate(coefficients)]
-    return Linear.of("arx", members)
+def linear_run(coefficients, steady, start):
+    count = len(coefficients)
+    members = [linear("arx", k, np.array(c), count) for k, c in enumerate(coefficients)]
+    return np.column_stack([one.simulate(steady, start[k]) for k, one in enumerate(members)])
 
 
 @pytest.mark.parametrize("kind", ["arx", "output_error"])
 def test_a_linear_system_is_recovered(kind):
     lever = slams(1)
     steady = Steady().outputs(lever[:, None])
-    outputs = linear_of(SECOND, FIRST).simulate(steady, steady[0])
+    outputs = linear_run((SECOND, FIRST), steady, steady[0])
     found = Baselines.from_json(fit_baselines(Calibration(), [log_of(outputs, lever)]))
     np.testing.assert_allclose(found.simulate(kind, steady, outputs[0], DT_S), outputs, atol=1e-6)
 
@@ -103,7 +110,7 @@ def test_a_linear_system_is_recovered(kind):
 def test_output_error_is_not_biased_by_noise_as_arx_is():
     lever, rng = slams(1), np.random.default_rng(0)
     steady = Steady().outputs(lever[:, None])
-    outputs = linear_of(FIRST, FIRST).simulate(steady, steady[0])
+    outputs = linear_run((FIRST, FIRST), steady, steady[0])
     noisy = outputs + 5.0 * rng.normal(size=outputs.shape)
     found = Baselines.from_json(fit_baselines(Calibration(), [log_of(noisy, lever)]))
     left = {
@@ -117,7 +124,7 @@ def test_a_level_of_each_run_is_no_slow_pole():
     runs = []
     for level in (-3.0, 2.0):
         steady = Steady().outputs(slams(int(level) + 9, 600)[:, None])
-        runs.append(Run(steady, linear_of(FIRST, FIRST).simulate(steady, steady[0]) + level))
+        runs.append(Run(steady, linear_run((FIRST, FIRST), steady, steady[0]) + level))
     assert arx_of(runs, 0, 1) == pytest.approx(FIRST, abs=1e-9)
 
 
@@ -127,21 +134,21 @@ def test_a_level_of_each_run_is_no_slow_pole():
 )
 def test_whatever_its_coefficients_a_linear_model_rests_on_the_steady_state(poles, moves):
     fed_back = -np.poly(poles)[1:]
-    model = linear_of(np.concatenate([fed_back, moves[: len(poles)]]))
+    coefficients = np.concatenate([fed_back, moves[: len(poles)]])
     steady = np.repeat([[20.0], [90.0]], [1, 2000], axis=0)
-    assert model.simulate(steady, np.array([31.0]))[-1, 0] == pytest.approx(90.0, abs=1e-6)
+    assert linear_run([coefficients], steady, [31.0])[-1, 0] == pytest.approx(90.0, abs=1e-6)
 
 
 def test_a_run_shorter_than_the_order_tells_nothing():
     steady = np.array([[50.0], [60.0], [60.0], [60.0], [40.0], [40.0], [40.0], [40.0]])
-    y = linear_of([0.5, -0.5]).simulate(steady, np.array([50.0]))
+    y = linear_run([[0.5, -0.5]], steady, [50.0])
     runs = [Run(steady[:1], y[:1]), Run(steady, y)]
     assert arx_of(runs, 0, 1) == pytest.approx([0.5, -0.5], abs=1e-6)
 
 
 def test_an_arx_run_is_its_difference_equation():
     steady = np.random.default_rng(2).normal(size=40)
-    run = linear_of([0.5, 0.3, 0.7, -0.2]).simulate(steady[:, None], np.array([2.0]))[:, 0]
+    run = linear_run([[0.5, 0.3, 0.7, -0.2]], steady[:, None], [2.0])[:, 0]
     d, moved = [2.0 - steady[0]] * 2, np.diff(steady, prepend=[steady[0]] * 2)
     for k in range(1, 40):
         d.append(0.5 * d[-1] + 0.3 * d[-2] + 0.7 * moved[k + 1] - 0.2 * moved[k])
@@ -158,8 +165,10 @@ def test_an_unstable_arx_is_never_returned():
 
 
 def test_a_channel_without_a_stable_arx_runs_as_nan():
-    arx = Linear("arx", poles=((),), gains=((),), offsets=(0.0,))
-    assert np.isnan(arx.simulate(np.ones((5, 1)), np.array([1.0]))).all()
+    none = {"poles": ((),), "gains": ((),), "offsets": (0.0,)}
+    linear_models = (Linear(kind, **none) for kind in ("arx", "output_error"))
+    found = Baselines(FirstOrderLag((1.0,), (1.0,)), *linear_models, (0.0,), (1.0,))
+    assert np.isnan(found.simulate("arx", np.ones((5, 1)), np.array([1.0]), DT_S)).all()
 
 
 def test_masked_samples_do_not_move_the_fit():

@@ -15,11 +15,10 @@ from hypothesis import strategies as st
 from narxcal.narx.config import NarxConfig
 from narxcal.record import Record
 from narxcal.support.errors import ModelError
-from training.adam import Moments
-from training.checkpoint import fingerprint, read_checkpoint, write_checkpoint
 from training.config import TrainConfig
-from training.levenberg_marquardt import Damping
+from training.methods import fingerprint, read_checkpoint, write_checkpoint
 from training.network import HistoryRow, Material, TrainingState, fit_narx, net_of
+from training.optimisers import Damping, Moments
 
 ROOT = Path(__file__).parents[2]
 FULL = TrainingState(

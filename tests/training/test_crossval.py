@@ -9,7 +9,7 @@ import pytest
 from data_prep.events import EventsConfig, find_events
 from data_prep.log import Log, Source
 from narxcal.support.errors import DataError
-from training.crossval import (
+from training.folds import (
     CrossvalConfig,
     cut_segments,
     leave_one_flight_out,

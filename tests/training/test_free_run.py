@@ -10,9 +10,10 @@ from narxcal.narx import kernels
 from narxcal.narx.module import NarxNet
 from narxcal.narx.network import AT_START, NarxConfig, NarxModel, Scaling
 from narxcal.record import Record
-from training import adam, free_run, levenberg_marquardt
+from training import free_run
 from training.free_run import FreeRunProblem, cut_windows
 from training.network import net_of
+from training.optimisers import adam, minimise
 
 
 def make_model(config: NarxConfig, inputs: int = 3, outputs: int = 2, seed: int = 0) -> NarxModel:
@@ -284,9 +285,7 @@ def test_linear_feedback_stays_linear_whatever_trains_it(how):
     problem = FreeRunProblem(net_of(model), cut_windows(model, [make_record()], 20))
     theta = net_of(model).get_theta()
     lm = how == "lm"
-    steps = (
-        levenberg_marquardt.minimise(problem, theta) if lm else adam.minimise(problem, theta, 0.01)
-    )
+    steps = minimise(problem, theta) if lm else adam(problem, theta, 0.01)
     for _, step in zip(range(5), steps, strict=False):
         net_of(model).set_theta(step.theta)
     assert not net_of(model).hidden.weight[:, :4].any()

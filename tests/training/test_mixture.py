@@ -75,7 +75,6 @@ def test_a_slow_error_that_all_models_share_changes_no_weight():
         held = HeldOut(
             "a",
             "a",
-            "a",
             whole=True,
             models=models,
             steady=measured,
@@ -123,7 +122,7 @@ def held(log, errors, whole=True):
     models = np.tile(np.reshape(errors, (-1, 1, 1)), (1, 50, 1))
     nothing = np.zeros((50, 1))
     inside = np.ones(50, dtype=bool)
-    return HeldOut(log, log, log, whole, models, nothing, nothing, inside, 0.1)
+    return HeldOut(log, log, whole, models, nothing, nothing, inside, 0.1)
 
 
 def mixture(*logs):

@@ -13,10 +13,9 @@ from tests.training.test_steady_fit import LAYOUT, truth
 from training.config import RunConfig, SteadyFitConfig
 from training.masking import learnable
 from training.methods import TrainOptions
-from training.outlying import Outlier, outliers
 from training.pipeline import calibrate
 from training.records import Split
-from training.steady_choice import contradicting, steady_state, without
+from training.steady_choice import Outlier, contradicting, outliers, steady_state, without
 from training.steady_fit import SteadySamples
 
 ROWS = 300

@@ -9,7 +9,7 @@ from scipy.linalg import expm
 from scipy.optimize import least_squares
 
 from narxcal.support.errors import DataError
-from narxcal.transfer.state_space import StateSpace
+from narxcal.transfer import StateSpace
 from training.subspace import (
     SubspaceSettings,
     initial_state,

@@ -15,8 +15,8 @@ from eval.benchmarks import flights as picture
 from eval.rules import Verdict
 from eval.transients import AssessedEvent
 from narxcal.support.errors import DataError
-from training.choice import Limits
 from training.config import load_config
+from training.ladder import Limits
 from training.search import Rates, counted
 
 

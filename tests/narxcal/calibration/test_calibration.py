@@ -1,5 +1,7 @@
 """A calibration: simulate, step and extend agree; at rest it is the steady-state model."""
 
+from functools import partial
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -16,6 +18,7 @@ from narxcal.steady.fitted import FittedSteadyState, Layout
 from narxcal.steady.model import Envelope
 from narxcal.steady.table import SteadyTable
 from narxcal.support.errors import ConfigError, DataError, ModelError
+from tests.narxcal.calibration.test_calibration_lag import calibration as behind_lags
 from training.network import net_of
 
 INPUTS, OUTPUTS = ("TRA_deg", "Mach"), ("N1_pct", "EGT_C")
@@ -139,8 +142,9 @@ def test_a_correction_may_widen_a_fading_bound():
     np.testing.assert_allclose(after - value, 2.0 * 1.05, atol=1e-9)
 
 
-def test_eighty_minutes_of_wild_levers_stay_inside_the_guaranteed_bounds():
-    model = calibration()
+@pytest.mark.parametrize("make", [calibration, partial(behind_lags, settle_s=None)])
+def test_eighty_minutes_of_wild_levers_stay_inside_the_guaranteed_bounds(make):
+    model = make()
     inputs = np.random.default_rng(0).uniform(-1e6, 1e6, (48_000, 2))
     deviation = (model.steady.outputs(inputs) - model.simulate(inputs))[1:]
     low, high = model.bounds()
@@ -173,8 +177,12 @@ def test_a_correction_replaces_the_newest_output_before_the_step():
         assert model.step(inputs[k], measured[k - 1]) == pytest.approx(expected, rel=1e-9)
 
 
-def test_a_correction_of_nan_keeps_the_models_own():
-    model, inputs = calibration(), log()
+PLAIN_AND_BEHIND_LAGS = pytest.mark.parametrize("make", [calibration, behind_lags])
+
+
+@PLAIN_AND_BEHIND_LAGS
+def test_a_correction_of_nan_keeps_the_models_own(make):
+    model, inputs = make(), log()
     whole = model.simulate(inputs)
     model.reset(inputs[0])
     steps = [model.step(row, [np.nan, np.nan]) for row in inputs[1:]]
@@ -203,8 +211,10 @@ def test_the_network_sees_increments_values_and_the_schedule():
     assert features.tolist() == [[0.0, 1.0, 7.0], [3.0, 4.0, 8.0], [-2.0, 2.0, 9.0]]
 
 
-def test_it_comes_back_from_json_and_arrays_as_it_was():
-    model = calibration(steady=two_engines()).for_engine("right")
+@pytest.mark.parametrize(
+    "model", [calibration(steady=two_engines()).for_engine("right"), behind_lags()]
+)
+def test_it_comes_back_from_json_and_arrays_as_it_was(model):
     again = DynamicCalibration.from_arrays(*model.to_arrays())
     assert np.array_equal(again.simulate(log()), model.simulate(log()))
     assert (again.dt_s, again.schedule) == (0.1, ("Mach",))

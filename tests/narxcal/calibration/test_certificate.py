@@ -24,7 +24,7 @@ from narxcal.output_error.engine import EngineFromSteady
 from narxcal.steady.table import SteadyTable
 from narxcal.support.errors import ModelError
 from narxcal.support.settings import read_stored
-from narxcal.transfer.state_space import Schedule, StateSpace
+from narxcal.transfer import Schedule, StateSpace
 from training.lag_priors import Form, start_engine
 
 INPUTS, OUTPUTS = ("TRA_deg", "ALT_ft", "Mach"), ("N1_pct", "N2_pct", "EGT_C")

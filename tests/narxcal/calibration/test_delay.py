@@ -14,7 +14,7 @@ from narxcal.calibration.identified import (
 from narxcal.calibration.members import Member
 from narxcal.steady.table import SteadyTable
 from narxcal.support.errors import ModelError
-from narxcal.transfer.state_space import StateSpace
+from narxcal.transfer import StateSpace
 
 NAMES, DT_S = (("TRA_deg", "ALT_ft"), ("N1_pct", "EGT_C")), 0.1
 

@@ -17,12 +17,12 @@ from narxcal.calibration.identified import (
 )
 from narxcal.output_error.engine import EngineFromSteady
 from narxcal.static_models import mattingly
-from narxcal.steady.laws import StaticLaws
+from narxcal.static_models.model import StaticLaws
 from narxcal.steady.model import Envelope
 from narxcal.steady.table import SteadyTable
 from narxcal.support.errors import ModelError
 from narxcal.support.files import to_json
-from narxcal.transfer.state_space import Schedule, StateSpace
+from narxcal.transfer import Schedule, StateSpace
 
 DT = 0.1
 NAMES = (("TRA_deg", "ALT_ft"), ("N1_pct", "N2_pct", "EGT_C"))

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from narxcal.support.errors import DataError
-from training.ranking import Form, Tried, beats, best_by_rung, leader, pseudo_bma, simplex, table
+from training.ladder import best_by_rung, leading, pseudo_bma, simplex, table
+from training.search import Form, Tried, beats
 
 
 def tried(rung, parameters, scores, *, whole=True):
@@ -24,13 +25,13 @@ def test_one_piece_on_which_all_forms_err_much_does_not_decide():
     assert np.mean(line.scores) < np.mean(curve.scores)
     assert beats(curve, line)
     assert not beats(line, curve)
-    assert leader([line, curve])[0] is curve
+    assert leading([line, curve])[0] is curve
 
 
 def test_the_simplest_form_leads_within_one_standard_error():
     line = tried("line", 2, [0.20, 0.22, 0.18, 0.21])
     curve = tried("curve", 20, [0.12, 0.30, 0.12, 0.24])
-    first, reason = leader([curve, line])
+    first, reason = leading([curve, line])
     assert curve.score < line.score
     assert first is line
     assert reason == (
@@ -42,26 +43,26 @@ def test_the_simplest_form_leads_within_one_standard_error():
 
 def test_a_gain_below_two_percent_does_not_pay_for_parameters():
     line = tried("line", 2, [0.200, 0.300])
-    assert leader([line, tried("curve", 20, [0.197, 0.2955])])[0] is line
-    assert leader([line, tried("curve", 20, [0.195, 0.2925])])[0].form.rung == "curve"
+    assert leading([line, tried("curve", 20, [0.197, 0.2955])])[0] is line
+    assert leading([line, tried("curve", 20, [0.195, 0.2925])])[0].form.rung == "curve"
 
 
 def test_of_forms_with_as_many_parameters_the_best_leads():
     one, two = tried("a", 5, [0.3, 0.2, 0.3]), tried("a", 5, [0.2, 0.22, 0.3])
     assert not beats(two, one)
-    assert leader([one, two])[0] is two
+    assert leading([one, two])[0] is two
     assert best_by_rung([one, two]) == [two]
 
 
 def test_a_form_judged_on_some_folds_or_without_a_finite_run_never_leads():
     line = tried("line", 2, [0.3, 0.3])
     part, wild = tried("b", 1, [0.1], whole=False), tried("c", 1, [0.1, np.inf])
-    assert leader([part, wild, line])[0] is line
+    assert leading([part, wild, line])[0] is line
     rows = table([part, wild, line], line)
     assert rows["chosen"].sum() == 1
     assert rows.set_index("rung")["all_folds"].to_dict() == {"b": False, "c": True, "line": True}
     with pytest.raises(DataError, match=r"^no form has a finite free run"):
-        leader([part, wild])
+        leading([part, wild])
 
 
 def test_weights_of_a_mean_are_the_least_squares_ones_and_never_negative():

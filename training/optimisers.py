@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt on any problem that gives its loss and its normal equations.
+"""Optimisers that yield their steps: Levenberg-Marquardt and Adam, on any problem.
 
 Straight steps: damping by Nielsen's rule (1999, Damping parameter in Marquardt's method,
 IMM-REP-1999-05), scaled by the diagonal after Marquardt (1963).
@@ -22,20 +22,18 @@ from typing import Protocol
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
-from narxcal.support.arrays import FloatArray
+from narxcal.support.arrays import BoolArray, FloatArray
 
 _MOST_BEND = 0.75  # of the straight step, Transtrum and Sethna (2012)
 
 
-class Equations(Protocol):
+@dataclass(frozen=True, eq=False)
+class Equations:
     """Loss, gradient (P,) and Gauss-Newton matrix (P, P) at one point."""
 
-    @property
-    def loss(self) -> float: ...  # noqa: D102
-    @property
-    def gradient(self) -> FloatArray: ...  # noqa: D102
-    @property
-    def hessian(self) -> FloatArray: ...  # noqa: D102
+    loss: float
+    gradient: FloatArray
+    hessian: FloatArray
 
 
 class Problem(Protocol):
@@ -141,6 +139,34 @@ def _straight(
     return solution, solution
 
 
+def within(low: FloatArray, high: FloatArray) -> Proposal:
+    """Straight steps projected on the bounds (P,); what a bound stops is left out (Bertsekas 1982).
+
+    SIAM J. Control 20(2).
+    """
+
+    def propose(
+        theta: FloatArray, slopes: tuple[FloatArray, FloatArray], damping: float
+    ) -> tuple[FloatArray, FloatArray]:
+        gradient, hessian = slopes
+        move = np.flatnonzero(~stopped(theta, gradient, low, high))
+        step = np.zeros_like(theta)
+        if len(move):
+            part = gradient[move], hessian[np.ix_(move, move)]
+            step[move] = _straight(theta[move], part, damping)[0]
+        step = np.clip(theta + step, low, high) - theta
+        return step, step
+
+    return propose
+
+
+def stopped(
+    theta: FloatArray, gradient: FloatArray, low: FloatArray, high: FloatArray
+) -> BoolArray:
+    """Parameters on a bound beyond which the loss would fall."""
+    return ((theta <= low) & (gradient > 0.0)) | ((theta >= high) & (gradient < 0.0))
+
+
 def minimise_geodesic(
     problem: CurvedProblem, theta: FloatArray, decay: float = 0.0, damping: Damping | None = None
 ) -> Iterator[Step]:
@@ -176,3 +202,64 @@ def _scale(diagonal: FloatArray) -> FloatArray:
     """Root of the diagonal (P,), in its units; never so little that a weight is undamped."""
     floored = np.maximum(diagonal, 1e-9 * diagonal.max() + 1e-30)
     return np.asarray(np.sqrt(floored * floored.mean()))
+
+
+# ---- Adam on the whole batch
+
+
+class GradientProblem(Protocol):
+    """What Adam needs."""
+
+    def gradient(self, theta: FloatArray) -> tuple[float, FloatArray]: ...  # noqa: D102
+
+
+@dataclass(frozen=True)
+class Moments:
+    """State of Adam: first and second moments (P,) and the number of steps taken."""
+
+    first: FloatArray
+    second: FloatArray
+    steps: int
+
+    @classmethod
+    def start(cls, size: int) -> Moments:
+        """Before the first step."""
+        return cls(np.zeros(size), np.zeros(size), 0)
+
+
+@dataclass(frozen=True)
+class AdamStep:
+    """One step; `loss` is that before it, which costs nothing more."""
+
+    theta: FloatArray
+    loss: float
+    moments: Moments
+
+
+def adam(
+    problem: GradientProblem,
+    theta: FloatArray,
+    rate: float,
+    decay: float = 0.0,
+    moments: Moments | None = None,
+) -> Iterator[AdamStep]:
+    """Yield steps of torch.optim.Adam for ever; going on from any step gives the same path."""
+    import torch  # noqa: PLC0415 (takes seconds; only this optimiser needs it)
+
+    moments = moments or Moments.start(len(theta))
+    parameter = torch.nn.Parameter(torch.from_numpy(theta.copy()))
+    optimiser = torch.optim.Adam([parameter], lr=rate)
+    state = optimiser.state[parameter]
+    state["step"] = torch.tensor(float(moments.steps))
+    state["exp_avg"] = torch.from_numpy(moments.first.copy())
+    state["exp_avg_sq"] = torch.from_numpy(moments.second.copy())
+    while True:
+        here = parameter.detach().numpy()
+        loss, gradient = problem.gradient(here)
+        parameter.grad = torch.from_numpy(gradient + decay * here)
+        loss += 0.5 * decay * float(here @ here)
+        optimiser.step()
+        after = Moments(
+            state["exp_avg"].numpy().copy(), state["exp_avg_sq"].numpy().copy(), int(state["step"])
+        )
+        yield AdamStep(parameter.detach().numpy().copy(), loss, after)

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from eval.reproduce.spey import identify, prediction_error, repeatability, tau_engine_of
 from narxcal.output_error.engine import EngineAndControl
 from narxcal.output_error.paper import fly, noise_sd, table_4
 from training.output_error import Plan, fit
-from training.spey import identify, prediction_error, repeatability, tau_engine_of
 
 TRUE = table_4("left")
 

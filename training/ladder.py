@@ -12,36 +12,64 @@ The ladder, each rung started from the one below:
 | mean | weighted mean of the best of two or three rungs |
 
 Folds are records, or blocks of them where there are fewer than four, with a gap around what is held
-out (training.folds). Each held-out piece is simulated twice, from its beginning and from a third
-of it, after windows of measured outputs of two lengths. training.ranking says which form leads; a
-latent form is averaged with those of other sizes.
+out. Each held-out piece is simulated twice, from its beginning and from a third of it, after
+windows of measured outputs of two lengths. One form beats another where the mean of ln(e / e') over
+the pieces is below zero by more than its standard error, and by two percent. Of the forms that no
+other beats, the one of fewest parameters leads, and of several with as many the best (Breiman et
+al. 1984, section 3.4.3, with paired errors); a latent form is averaged with those of other sizes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any, Self
 
 import numpy as np
 import pandas as pd
+from scipy.optimize import nnls
 
 from narxcal.intervals import Conformal
-from narxcal.narx.forms import DynamicModel, Ensemble
+from narxcal.narx.forms import DynamicModel, Ensemble, pack, unpack
 from narxcal.narx.latent import Shape
 from narxcal.record import Record
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
+from narxcal.support.files import finite
 from narxcal.support.progress import Progress, silent
-from training import ranking
-from training.folds import FOLDS, SHORTEST, WINDOW, RecordFold, by_piece, record_folds, runs_of
 from training.forms import dead_times, linear_model, try_arx, try_linear, try_network
 from training.latent_forms import affordable, try_latent
-from training.ranking import Form, Tried, best_by_rung, simplex
-from training.search import LAG, LATENT, MEAN, Search, Work
+from training.network import known_numbers
+from training.search import (
+    FOLDS,
+    LAG,
+    LATENT,
+    MEAN,
+    SHORTEST,
+    WINDOW,
+    Form,
+    RecordFold,
+    Search,
+    Tried,
+    Work,
+    beats,
+    by_piece,
+    record_folds,
+    runs_of,
+)
 
+TIME_LIMIT_S = 120.0
 _UNITS_PER_SAMPLE = 6000.0  # of the budget; with less a single record has half as many folds
 _MIXED = 3  # forms of which a mean is taken
 _LEAST_WEIGHT = 0.02  # of a form in a mean
+_STORED = (
+    "status",
+    "rung",
+    "reason",
+    "budget",
+    "spent",
+)  # fields of `Choice`, as they are
+_INTERVALS, _PARTS = "intervals.", ("after", "errors", "piece")
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,12 +90,40 @@ class Choice:
     spent: int
     intervals: Conformal
 
+    def to_arrays(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, FloatArray]]:
+        """Split into the structure of the model and the result, both JSON-able, and arrays."""
+        network, arrays = pack(self.model)
+        result = {name: getattr(self, name) for name in _STORED}
+        result["tried"] = self.tried.to_dict("records")
+        own = {
+            f"{_INTERVALS}{name}": np.asarray(getattr(self.intervals, name), dtype=np.float64)
+            for name in _PARTS
+        }
+        return network, finite(result), {**arrays, **own}
+
+    @classmethod
+    def from_arrays(
+        cls,
+        network: Mapping[str, Any],
+        result: Mapping[str, Any],
+        arrays: Mapping[str, FloatArray],
+    ) -> Self:
+        """Inverse of `to_arrays`."""
+        after, errors, piece = (np.asarray(arrays[f"{_INTERVALS}{name}"]) for name in _PARTS)
+        own = {name: array for name, array in arrays.items() if not name.startswith(_INTERVALS)}
+        return cls(
+            model=unpack(network, own),
+            tried=pd.DataFrame([known_numbers(row) for row in result["tried"]]),
+            intervals=Conformal(after, errors, piece.astype(np.int64)),
+            **{name: result[name] for name in _STORED},
+        )
+
 
 @dataclass(frozen=True)
 class Limits:
     """CPU seconds of the search, seed of the draws, and whether only linear rungs are tried."""
 
-    time_limit_s: float = 120.0
+    time_limit_s: float = TIME_LIMIT_S
     seed: int = 0
     linear: bool = False
 
@@ -148,7 +204,7 @@ def _try_mean(search: Search) -> None:
 def _sizes(search: Search, leader: Tried) -> list[Tried]:
     """The leading latent form and the best of each other size, as many as can be fitted."""
     found = {(leader.form.order, leader.form.hidden): leader}
-    for one in sorted(ranking.finite(search.tried), key=lambda one: one.score):
+    for one in sorted(comparable(search.tried), key=lambda one: one.score):
         if one.form.rung == LATENT and one.form.delay == leader.form.delay:
             found.setdefault((one.form.order, one.form.hidden), one)
     return list(found.values())[: max(affordable(search, leader.form), 1)]
@@ -184,12 +240,12 @@ def _mean(search: Search, rung: str, members: Sequence[Tried], weights: FloatArr
 
 def _chosen(search: Search) -> Choice:
     """The leading form on all records."""
-    leader, reason = ranking.leader(search.tried)
+    leader, reason = leading(search.tried)
     search.watch(0.9, f"fitting {leader.form.rung} to all records")
     if leader.form.rung == LATENT:
         # Which size leads hangs on the draws of hidden units; the mean of sizes hangs on them less.
         sizes = _sizes(search, leader)
-        mean = _mean(search, LATENT, sizes, ranking.pseudo_bma(sizes))
+        mean = _mean(search, LATENT, sizes, pseudo_bma(sizes))
         if mean is not None:
             search.tried.append(mean)
             leader, reason = mean, f"{reason}; other sizes are averaged with it by their errors"
@@ -200,7 +256,7 @@ def _chosen(search: Search) -> Choice:
     return Choice(
         model=model,
         rung=leader.form.rung,
-        tried=ranking.table(search.tried, leader),
+        tried=table(search.tried, leader),
         reason=reason,
         status="; ".join(["all folds done", *search.notes]),
         budget=int(search.work.budget),
@@ -234,3 +290,96 @@ def _without_folds(search: Search) -> Choice:
         spent=0,
         intervals=nothing,
     )
+
+
+# ---- rank
+
+
+def comparable(tried: Sequence[Tried]) -> list[Tried]:
+    """Forms with a finite score on all folds."""
+    return [one for one in tried if one.whole and np.isfinite(one.score)]
+
+
+def best_by_rung(tried: Sequence[Tried]) -> list[Tried]:
+    """Best form of each rung, best first."""
+    found: dict[str, Tried] = {}
+    for one in sorted(comparable(tried), key=lambda one: one.score):
+        found.setdefault(one.form.rung, one)
+    return list(found.values())
+
+
+def leading(tried: Sequence[Tried]) -> tuple[Tried, str]:
+    """The simplest form that none beats, and why."""
+    forms = comparable(tried)
+    if not forms:
+        raise DataError("no form has a finite free run over what was held out")
+    least = min(forms, key=lambda one: one.score)
+    able = [one for one in forms if not any(beats(other, one) for other in forms)]
+    first = min(able, key=lambda one: (one.form.parameters, one.score))
+    name = f"{first.form.rung} ({first.form.text})"
+    others = [one for one in best_by_rung(forms) if one.form.rung != first.form.rung]
+    simpler = [one for one in others if one.form.parameters < first.form.parameters]
+    if first is not least:
+        reason = (
+            f"{name} is the simplest form that none beats by more than one standard error: "
+            f"{first.score:.3g} standard deviations of the outputs in held-out free runs, "
+            f"the best form, {least.form.rung}, {least.score:.3g}"
+        )
+    elif simpler:
+        second = min(simpler, key=lambda each: each.score)
+        reason = (
+            f"{name} has the lowest error in held-out free runs, {first.score:.3g} standard "
+            f"deviations of the outputs; the best simpler form, {second.form.rung}, has "
+            f"{second.score:.3g}"
+        )
+    else:
+        reason = f"{name} is the simplest form, and none has a lower error in held-out runs"
+    return first, reason
+
+
+def table(tried: Sequence[Tried], chosen: Tried) -> pd.DataFrame:
+    """A row per form, best first; `standard_error` is that of ln(e / e of the chosen form)."""
+    rows = [
+        {
+            "rung": one.form.rung,
+            "form": one.form.text,
+            "parameters": one.form.parameters,
+            "samples": one.form.samples,
+            "score": one.score,
+            "standard_error": standard_error(one.logs - chosen.logs) if one.whole else np.nan,
+            "all_folds": one.whole,
+            "chosen": one is chosen,
+        }
+        for one in tried
+    ]
+    return pd.DataFrame(rows).sort_values("score", ignore_index=True, kind="stable")
+
+
+def standard_error(differences: FloatArray) -> float:
+    """Standard error of the mean; that of a single piece is unknown, and taken as none."""
+    if len(differences) < 2 or not np.isfinite(differences).all():
+        return 0.0
+    return float(np.std(differences, ddof=1) / np.sqrt(len(differences)))
+
+
+def pseudo_bma(tried: Sequence[Tried]) -> FloatArray:
+    """Weights of sum 1 in proportion to the held-out likelihood (Geisser and Eddy 1979).
+
+    With normal errors of unknown variance it is exp(-n mean ln e) for n pieces. Half the pieces
+    are counted: neighbours are flown alike, and blocks of a record overlap.
+    """
+    behind = np.array([np.sum(one.logs) / 2.0 for one in tried])
+    weights = np.exp(behind.min() - behind)
+    return np.asarray(weights / weights.sum())
+
+
+def simplex(errors: FloatArray) -> FloatArray:
+    """Weights >= 0 of sum 1 with the least mean square of `errors` (rows, models) times them."""
+    errors = errors[np.isfinite(errors).all(axis=1)]
+    normal = errors.T @ errors / max(len(errors), 1)
+    normal += (1e-9 * np.trace(normal) + 1e-30) * np.eye(len(normal))
+    factor = np.linalg.cholesky(normal)
+    heavy = 1e3 * np.sqrt(np.trace(normal))
+    matrix = np.vstack([factor.T, np.full((1, len(normal)), heavy)])
+    weights = nnls(matrix, np.concatenate([np.zeros(len(normal)), [heavy]]))[0]
+    return np.asarray(weights / weights.sum())

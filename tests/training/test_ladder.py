@@ -9,9 +9,9 @@ from sklearn.base import clone
 from narxcal import Narx, Record
 from narxcal.narx.network import Scaling
 from narxcal.support.errors import ConfigError, DataError, ModelError
-from training.choice import Limits, choose, divide
-from training.folds import record_folds
+from training.ladder import Limits, choose, divide
 from training.latent import Data, Shape, fit_linear, grown, path
+from training.search import record_folds
 
 QUICK = Limits(1.0)
 

@@ -1,17 +1,24 @@
-"""Training in free run: it finds known systems, repeats itself, and stops and goes on exactly."""
+"""Training in free run: from a linear model that a free run can bear, it finds known systems.
+
+It repeats itself, stops and goes on exactly; networks merged side by side compute what each did.
+"""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from narxcal.narx.config import NarxConfig
+from narxcal.narx.module import NarxNet
+from narxcal.narx.network import NarxModel, Scaling
 from narxcal.record import Record
 from narxcal.support.errors import DataError
 from training.config import TrainConfig
 from training.free_run import FreeRunProblem, cut_windows
-from training.network import Material, fit_narx, net_of
+from training.network import Material, fit_narx, merge_models, net_of, new_model, start_linear
 
 STRUCTURE = NarxConfig(lags=1, taps=(0,), hidden=3)
 SHORT = TrainConfig(
@@ -245,3 +252,142 @@ def test_a_network_is_judged_from_every_place_that_a_whole_record_is_run_from(la
     assert len(windows) == 3
     loss = FreeRunProblem(net_of(result.model), windows).loss(theta(result))
     assert result.score == pytest.approx(np.sqrt(2.0 * loss))
+
+
+# The start.
+configs = st.builds(
+    NarxConfig,
+    lags=st.integers(1, 4),
+    taps=st.sampled_from([(0,), (0, 1), (1, 2)]),
+    hidden=st.integers(1, 4),
+    moving=st.integers(0, 1),
+)
+
+
+def started(records, config, seed=0):
+    model = new_model(records, config, seed)
+    problem = FreeRunProblem(net_of(model), cut_windows(model, records, None))
+    start_linear(model, records, problem)
+    return model, problem
+
+
+def test_a_linear_system_is_found_at_once():
+    rng = np.random.default_rng(0)
+    u = rng.normal(size=400)
+    y = np.zeros(400)
+    for k in range(1, 400):
+        y[k] = 0.8 * y[k - 1] + 0.5 * u[k]
+    model, _ = started([Record(u, y)], NarxConfig(lags=1, taps=(0,), hidden=2))
+    np.testing.assert_allclose(model.simulate(u[:, None], y[:1]), y[:, None], atol=1e-3)
+
+
+@settings(max_examples=25, deadline=None)
+@given(config=configs, seed=st.integers(0, 99), drift=st.booleans())
+def test_it_never_diverges(config, seed, drift):
+    rng = np.random.default_rng(seed)
+    u = rng.normal(size=(120, 2))
+    y = np.cumsum(rng.normal(size=(120, 2)), axis=0) if drift else rng.normal(size=(120, 2))
+    y[30:34, 0] = np.nan
+    model, problem = started([Record(u, y)], config)
+    free_run = model.simulate(10.0 * rng.normal(size=(5000, 2)), np.zeros(2))[1:]
+    low, high = model.bounds
+    assert (free_run >= low - 1e-9).all()
+    assert (free_run <= high + 1e-9).all()
+    # A model of the mean alone is among what it had to choose from, up to the ridge.
+    variance = 0.5 * np.nanmean(model.output_scaling.down(y) ** 2)
+    assert problem.loss(net_of(model).get_theta()) <= 1.1 * variance + 1e-9
+
+
+def test_bounds_are_the_envelope_and_a_margin():
+    y = np.linspace(-10.0, 30.0, 50)
+    model = new_model([Record(y, y)], NarxConfig(margin=0.25), 0)
+    np.testing.assert_allclose(np.ravel(model.bounds), [-20.0, 40.0])
+
+
+def test_an_input_that_hardly_varies_is_scaled_as_if_it_varied_as_much_as_asked():
+    u = np.column_stack([np.linspace(0.0, 1.0, 50), np.linspace(0.0, 300.0, 50)])
+    record = Record(u, u[:, 0])
+    plain = new_model([record], NarxConfig(), 0).input_scaling.scale
+    asked = new_model([record], NarxConfig(), 0, np.array([0.0, 3000.0])).input_scaling.scale
+    assert asked.tolist() == [plain[0], 3000.0]
+
+
+def test_bounds_of_an_anchored_network_hold_its_rest():
+    y = np.linspace(20.0, 30.0, 50)
+    model = new_model([Record(y, y)], NarxConfig(margin=0.1, moving=1), 0)
+    np.testing.assert_allclose(np.ravel(model.bounds), [-3.0, 33.0])
+    assert model.output_scaling.centre == pytest.approx([0.0])
+    assert model.input_scaling.centre == pytest.approx([0.0])
+
+
+def test_an_anchored_start_rests_at_zero():
+    rng = np.random.default_rng(0)
+    u = np.column_stack([rng.normal(size=200), np.full(200, 3.0) + rng.normal(size=200)])
+    y = np.convolve(u[:, 0], 0.5 ** np.arange(8))[:200] + 5.0
+    model, _ = started([Record(u, y)], NarxConfig(moving=1))
+    still = np.column_stack([np.zeros(50), np.full(50, 4.0)])
+    np.testing.assert_allclose(model.simulate(still, [0.0]), 0.0, atol=1e-12)
+
+
+def test_the_seed_draws_the_hidden_layer_and_nothing_else():
+    record = Record(np.arange(30.0), np.arange(30.0) ** 2)
+    one, same, other = (new_model([record], NarxConfig(), seed) for seed in (1, 1, 2))
+    assert np.array_equal(net_of(one).get_theta(), net_of(same).get_theta())
+    assert not np.array_equal(net_of(one).get_theta(), net_of(other).get_theta())
+    assert not net_of(one).output.weight.any()
+    assert not net_of(one).linear.weight.any()
+
+
+# Merging.
+INPUTS = 3
+
+
+def single(config, seed):
+    torch.manual_seed(seed)
+    net = NarxNet(config, INPUTS, 1)
+    net.low[:], net.high[:] = -0.5 - 0.1 * seed, 0.5 + 0.1 * seed
+    shared = np.random.default_rng(0)
+    own = np.random.default_rng(seed)
+    inputs = Scaling(shared.normal(size=INPUTS), 1.0 + shared.random(INPUTS))
+    return NarxModel(net, inputs, Scaling(own.normal(size=1), 1.0 + own.random(1)))
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    lags=st.integers(1, 4),
+    taps=st.sampled_from([(0,), (0, 1), (1, 3)]),
+    moving=st.integers(0, 2),
+    count=st.integers(1, 4),
+)
+def test_merged_networks_are_the_separate_ones(lags, taps, moving, count):
+    config = NarxConfig(lags=lags, taps=taps, hidden=3, moving=moving)
+    models = [single(config, seed) for seed in range(count)]
+    merged = merge_models(models)
+    u = np.random.default_rng(1).normal(size=(80, INPUTS))
+    start = np.linspace(-0.2, 0.2, count)
+    together = merged.simulate(u, start)
+    for k, model in enumerate(models):
+        alone = model.simulate(u, start[k : k + 1])[:, 0]
+        np.testing.assert_allclose(together[:, k], alone, rtol=1e-12, atol=1e-13)
+    lows = [model.bounds[0][0] for model in models]
+    assert merged.bounds[0] == pytest.approx(lows)
+    measured = np.random.default_rng(2).normal(size=(80, count))
+    steps = merged.predict(u, measured)
+    for k, model in enumerate(models):
+        np.testing.assert_allclose(
+            steps[1:, k], model.predict(u, measured[:, k : k + 1])[1:, 0], rtol=1e-12, atol=1e-13
+        )
+
+
+def test_one_network_is_left_as_it_is():
+    model = single(NarxConfig(), 0)
+    assert merge_models([model]) is model
+
+
+def test_a_single_output_keeps_inputs_name_and_weight():
+    weight = np.arange(4.0)
+    record = Record(np.ones((4, 2)), np.arange(8.0).reshape(4, 2), "flight", weight)
+    (part,) = Material([record], [], 0.1).of_output(1).records
+    assert part.y.tolist() == [[1.0], [3.0], [5.0], [7.0]]
+    assert part.u is record.u
+    assert (part.name, part.weight) == ("flight", weight)

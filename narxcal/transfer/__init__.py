@@ -1,1 +1,0 @@
-"""Linear responses: first and second order, and state-space models with scheduling."""
