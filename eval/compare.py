@@ -198,14 +198,8 @@ class Run:
     """A bundle under the name of its row, with the logs that are held out, prepared for it."""
 
     name: str
-    method: str
     bundle: Bundle
     logs: tuple[Log, ...]
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the logs."""
-        return tuple(log.name for log in self.logs)
 
 
 def compare_runs(runs: Sequence[Run]) -> Comparison:
@@ -215,7 +209,8 @@ def compare_runs(runs: Sequence[Run]) -> Comparison:
     with most outputs, the first of several. Raises `DataError` where the runs share no log, or
     sample one differently.
     """
-    names = [log.name for log in runs[0].logs if all(log.name in run.names for run in runs)]
+    held_out = [[log.name for log in run.logs] for run in runs]
+    names = [name for name in held_out[0] if all(name in own for own in held_out)]
     if not names:
         raise DataError(
             "no log is held out of all runs", hint="Name the logs to compare on by --logs"
@@ -294,7 +289,7 @@ def _row(run: Run, found: Sequence[FreeRun]) -> Row:
     record, size = run.bundle.record, run.bundle.calibration.size
     return Row(
         run=run.name,
-        method=run.method,
+        method=record.method,
         parameters=size,
         aic=None if record.free_run is None else record.free_run.aic,
         fit_s=record.training.wall_s if record.training.status else None,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -62,14 +62,8 @@ class FoldResult:
 
     def row(self) -> dict[str, Any]:
         """One entry of `folds` in `crossval.json`."""
-        return {
-            "name": self.name,
-            "seed": self.seed,
-            "train": list(self.train),
-            "test": list(self.test),
-            "not_judged": list(self.not_judged),
-            "values": self.figures,
-        }
+        names = {key: list(getattr(self, key)) for key in ("train", "test", "not_judged")}
+        return {"name": self.name, "seed": self.seed, **names, "values": self.figures}
 
 
 @dataclass(frozen=True)
@@ -224,18 +218,18 @@ def _plans(
     config: RunConfig, settings: EvaluateConfig, logs: Sequence[Log]
 ) -> tuple[list[Plan], dict[str, str]]:
     wanted, outputs = settings.crossval, config.narx.outputs
+    schemes: dict[str, Callable[[], Sequence[Plan]]] = {}
+    if wanted.leave_one_flight_out:
+        schemes[LEAVE_ONE_OUT] = lambda: leave_one_flight_out(logs, config.events, outputs)
+    if wanted.random_splits:
+        schemes[RANDOM] = lambda: random_splits(logs, config.events, wanted, outputs)
     plans: list[Plan] = []
     skipped: dict[str, str] = {}
-    if wanted.leave_one_flight_out:
+    for name, scheme in schemes.items():
         try:
-            plans += _learnable(leave_one_flight_out(logs, config.events, outputs), outputs)
+            plans += _learnable(scheme(), outputs)
         except DataError as error:
-            skipped[LEAVE_ONE_OUT] = str(error)
-    if wanted.random_splits:
-        try:
-            plans += _learnable(random_splits(logs, config.events, wanted, outputs), outputs)
-        except DataError as error:
-            skipped[RANDOM] = str(error)
+            skipped[name] = str(error)
     if not plans:
         why = "; ".join(skipped.values()) or "[evaluate.crossval] demands none"
         raise DataError(f"no division of the logs is possible: {why}")

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from data_prep.config import LogsConfig
@@ -160,13 +161,12 @@ class EngineReplay:
     @property
     def lost(self) -> dict[str, int]:
         """Input -> samples at which the model could not run for want of it."""
-        counts = zip(self._inputs, self._lost.tolist(), strict=True)
-        return {name: count for name, count in counts if count}
+        return _counted(self._inputs, self._lost)
 
     @property
     def held(self) -> dict[str, int]:
         """Input -> samples at which its last value was used."""
-        return {name: int(n) for name, n in zip(self._inputs, self._held, strict=True) if n}
+        return _counted(self._inputs, self._held)
 
     @property
     def slow(self) -> dict[str, float]:
@@ -350,6 +350,10 @@ class EngineReplay:
             result = fuse(rows.prediction[start:stop], measured[start:stop])
             fused[start:stop], innovation[start:stop] = result.values, result.innovations
         return replace(rows, fused=fused, innovation=innovation)
+
+
+def _counted(names: Sequence[str], counts: NDArray[np.int64]) -> dict[str, int]:
+    return {name: int(count) for name, count in zip(names, counts, strict=True) if count}
 
 
 def _no_fusion(n_out: int, dt_s: float) -> NoiseModel:
@@ -610,19 +614,18 @@ class _Replay:
             self.clock.sleep(ahead)
 
     def _summary(self) -> ReplaySummary:
-        engines = self.engines
+        names = ("held", "restarts", "lost", "outside", "gated", "unfused", "slow")
+        of = {
+            name: {engine: getattr(one, name) for engine, one in self.engines.items()}
+            for name in names
+        }
         return ReplaySummary(
             rows=self.rows,
-            engines=tuple(engines),
+            engines=tuple(self.engines),
             log_s=self.rows * next(iter(self.streams.values())).dt_s,
             wall_s=self.clock.now() - self._began,
-            held={name: engine.held for name, engine in engines.items()},
-            restarts={name: engine.restarts for name, engine in engines.items()},
-            blank={name: engine.lost for name, engine in engines.items()},
-            outside={name: engine.outside for name, engine in engines.items()},
-            gated={name: engine.gated for name, engine in engines.items()},
-            unfused={name: engine.unfused for name, engine in engines.items()},
-            slow={name: engine.slow for name, engine in engines.items()},
+            blank=of.pop("lost"),
+            **of,
             dropped=sum(stream.dropped for stream in self.streams.values()),
             truncated=self.file.truncated,
             findings=self.model.findings,

@@ -7,13 +7,13 @@ from the output to the input), after Ljung, System Identification, section 16.6.
 The band of a white residual is `z / sqrt(N)` with N the number of samples. (One tool divides by
 the square root of 2N-1, the length of the two-sided correlation; its 95 % band then loses three
 times as many lags of true white noise as it should.) A free-run residual is coloured by nature:
-independence of the inputs is the test that counts there, and `coloured=True` widens its band by
-what the two autocorrelations allow (Bartlett's formula).
+independence of the inputs is the test that counts there, and its band is widened by what the two
+autocorrelations allow (Bartlett's formula).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,9 +22,6 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.special import ndtri
 
 from narxcal.support.arrays import FloatArray, IntArray
-from narxcal.support.errors import DataError
-
-Records = Sequence[FloatArray]
 
 # Chance of calling a white or independent residual dependent, over all lags of one test.
 FALSE_ALARM = 0.01
@@ -84,41 +81,34 @@ def residual_tests(
     """
     lags = max(_FEWEST_LAGS, round(_LONGEST_LAG_S / dt_s))
     cross = {
-        name: cross_correlation([values], [residual], lags, coloured=True)
+        name: cross_correlation(values, residual, lags)
         for name, values in inputs.items()
         if np.isfinite(values).any() and np.nanmax(values) > np.nanmin(values)
     }
-    return ResidualTests(channel, dt_s, autocorrelation([residual], lags), cross)
+    return ResidualTests(channel, dt_s, autocorrelation(residual, lags), cross)
 
 
-def autocorrelation(residuals: Records, lags: int) -> Correlation:
-    """Correlate the residual with itself at lags 0 to `lags`.
+def autocorrelation(residual: FloatArray, lags: int) -> Correlation:
+    """Correlate the residual (time,) with itself at lags 0 to `lags`, without its mean.
 
-    `residuals` holds one `(time,)` array per log; pairs never cross from one to the next, and
-    pairs with a NaN are left out. The mean over all logs is removed.
+    Pairs with a NaN are left out.
     """
-    _check(residuals, residuals, lags)
-    centred = _standardised(residuals)
+    centred = _standardised(residual)
     values, pairs = _pair_means(centred, centred, lags)
     forward = slice(lags, None)
     return Correlation(np.arange(lags + 1), values[forward], _white(pairs[forward]))
 
 
-def cross_correlation(
-    inputs: Records, residuals: Records, lags: int, *, coloured: bool = False
-) -> Correlation:
-    """Correlate `input[t]` with `residual[t + lag]` at lags `-lags` to `lags`.
+def cross_correlation(given: FloatArray, residual: FloatArray, lags: int) -> Correlation:
+    """Correlate `given[t]` with `residual[t + lag]` (time,) at lags `-lags` to `lags`.
 
-    Arguments as in `autocorrelation`. With `coloured`, the band allows for the autocorrelation
-    of input and residual up to `lags`: variance `sum_k r_u(k) r_e(k) / N`.
+    The band allows for the autocorrelation of input and residual up to `lags`: variance
+    `sum_k r_u(k) r_e(k) / N`.
     """
-    _check(inputs, residuals, lags)
-    moved, left = _standardised(inputs), _standardised(residuals)
+    moved, left = _standardised(given), _standardised(residual)
     values, pairs = _pair_means(moved, left, lags)
-    deviation = _white(pairs)
-    if coloured:
-        own = _pair_means(moved, moved, lags)[0] * _pair_means(left, left, lags)[0]
-        deviation = deviation * np.sqrt(max(1.0, float(np.nansum(own))))
+    own = _pair_means(moved, moved, lags)[0] * _pair_means(left, left, lags)[0]
+    deviation = _white(pairs) * np.sqrt(max(1.0, float(np.nansum(own))))
     return Correlation(np.arange(-lags, lags + 1), values, deviation)
 
 
@@ -145,37 +135,21 @@ def _judge(correlation: Correlation, chosen: NDArray[np.bool_]) -> Dependence:
     )
 
 
-def _check(first: Records, second: Records, lags: int) -> None:
-    if lags < 1:
-        raise DataError(f"expected at least 1 lag, got {lags}")
-    if [one.shape for one in first] != [one.shape for one in second]:
-        raise DataError(
-            f"expected inputs and residuals of the same logs, got shapes "
-            f"{[one.shape for one in first]} and {[one.shape for one in second]}"
-        )
-    if any(one.ndim != 1 for one in second):
-        raise DataError(f"expected records of shape (time,), got {[one.shape for one in second]}")
-
-
-def _standardised(records: Records) -> list[FloatArray]:
-    """Remove the mean over all records and divide by the standard deviation over all of them."""
-    joined = np.concatenate([*records, np.empty(0)])
-    known = joined[np.isfinite(joined)]
+def _standardised(values: FloatArray) -> FloatArray:
+    """Remove the mean and divide by the standard deviation; NaN of a constant."""
+    known = values[np.isfinite(values)]
     spread = float(known.std()) if len(known) else 0.0
     if spread == 0.0:
-        return [np.full_like(record, np.nan) for record in records]
-    return [(record - known.mean()) / spread for record in records]
+        return np.full_like(values, np.nan)
+    return np.asarray((values - known.mean()) / spread)
 
 
-def _pair_means(first: Records, second: Records, lags: int) -> tuple[FloatArray, FloatArray]:
+def _pair_means(first: FloatArray, second: FloatArray, lags: int) -> tuple[FloatArray, FloatArray]:
     """Mean of `first[t] * second[t + lag]` and number of pairs, lags `-lags` to `lags`."""
-    sums, pairs = np.zeros(2 * lags + 1), np.zeros(2 * lags + 1)
-    for one, other in zip(first, second, strict=True):
-        known, other_known = np.isfinite(one), np.isfinite(other)
-        sums += _lagged_sums(np.where(known, one, 0.0), np.where(other_known, other, 0.0), lags)
-        pairs += np.round(_lagged_sums(known.astype(float), other_known.astype(float), lags))
-    means = np.divide(sums, pairs, out=np.full_like(sums, np.nan), where=pairs > 0)
-    return means, pairs
+    known, other = np.isfinite(first), np.isfinite(second)
+    sums = _lagged_sums(np.where(known, first, 0.0), np.where(other, second, 0.0), lags)
+    pairs = np.round(_lagged_sums(known.astype(float), other.astype(float), lags))
+    return np.divide(sums, pairs, out=np.full_like(sums, np.nan), where=pairs > 0), pairs
 
 
 def _lagged_sums(first: FloatArray, second: FloatArray, lags: int) -> FloatArray:
@@ -184,8 +158,6 @@ def _lagged_sums(first: FloatArray, second: FloatArray, lags: int) -> FloatArray
     Spectra of short stretches are added: one FFT of a whole flight of hours takes several times as
     long and a gigabyte. Each stretch of `second` reaches `lags` beyond that of `first`.
     """
-    if len(first) == 0:
-        return np.zeros(2 * lags + 1)
     # scipy.signal.correlate would do one stretch, at a second of importing it.
     size = next_fast_len(min(len(first), _STRETCH) + 2 * lags, real=True)
     step = size - 2 * lags

@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
+from eval.outcome import plural
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
 from narxcal.support.settings import Section
@@ -127,8 +128,7 @@ def _unreadable(y: FloatArray, start: FloatArray, end: FloatArray) -> str | None
         return f"{missing} of {len(y)} samples are missing"
     for part, place in ((start, "up to the move"), (end, "at the end")):
         if len(part) < FEWEST_SETTLED:
-            noun = "sample" if len(part) == 1 else "samples"
-            return f"only {len(part)} {noun} {place}, {FEWEST_SETTLED} are needed"
+            return f"only {plural(len(part), 'sample')} {place}, {FEWEST_SETTLED} are needed"
     return None
 
 

@@ -11,7 +11,8 @@ columns' names or those of the channels. A log of a result is `result[0]` or `re
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from abc import abstractmethod
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from fnmatch import fnmatch
 from functools import cached_property
@@ -29,6 +30,7 @@ from data_prep.prepare import cautions
 from data_prep.reading import read_logs
 from eval.evaluate import (
     Evaluation,
+    LogEvaluation,
     assess_log,
     evaluation_logs,
     outside_envelopes,
@@ -133,17 +135,30 @@ class Recordings(Shown):
         return Summary(f"{len(self)} logs as read", (), pd.DataFrame(rows))
 
 
+class _Drawn(Shown):
+    """A result whose logs are drawn."""
+
+    @property
+    @abstractmethod
+    def views(self) -> tuple[LogView, ...]:
+        """The logs as they are drawn."""
+
+    def __getitem__(self, log: int | str) -> LogView:
+        return _item(self.views, log)
+
+    def plot(self, log: int | str = 0) -> Figure:
+        """Draw one log: driver with its events, and outputs, with the model's free run if any."""
+        return overlay_figure(self[log], _canvas())
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class PreparedLogs(Shown):
+class PreparedLogs(_Drawn):
     """Logs cleaned and smoothed, with what was found in each."""
 
     reports: tuple[LogReport, ...]
 
     def __len__(self) -> int:
         return len(self.reports)
-
-    def __getitem__(self, log: int | str) -> LogView:
-        return _item(self.views, log)
 
     @cached_property
     def views(self) -> tuple[LogView, ...]:
@@ -175,10 +190,6 @@ class PreparedLogs(Shown):
         """What a reader of the tables has to know."""
         return cautions_about(self.reports)
 
-    def plot(self, log: int | str = 0) -> Figure:
-        """Draw one log: driver with its events, and outputs."""
-        return overlay_figure(self[log], _canvas())
-
     @property
     def summary(self) -> Summary:
         """What shells and notebooks show."""
@@ -187,15 +198,12 @@ class PreparedLogs(Shown):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Training(Shown):
+class Training(_Drawn):
     """A trained model, in `bundle`, and the logs that it was made of."""
 
     bundle: Bundle
     split: Split
     cautions: tuple[str, ...]
-
-    def __getitem__(self, log: int | str) -> LogView:
-        return _item(self.views, log)
 
     @property
     def scores(self) -> pd.DataFrame:
@@ -215,11 +223,10 @@ class Training(Shown):
     @cached_property
     def views(self) -> tuple[LogView, ...]:
         """The training logs with the model's free run, as they are drawn."""
-        return _views(self.bundle, self.split.train)
-
-    def plot(self, log: int | str = 0) -> Figure:
-        """Draw one training log: driver, and outputs as measured and in free run."""
-        return overlay_figure(self[log], _canvas())
+        settings = run_config(self.bundle)[1]
+        return _views(
+            self.bundle, (assess_log(self.bundle, log, settings) for log in self.split.train)
+        )
 
     def save(self, folder: str | Path, *, replace: bool = False) -> None:
         """Write the run folder that the commands take; `ConfigError` for one that has content."""
@@ -232,15 +239,12 @@ class Training(Shown):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Judgement(Shown):
+class Judgement(_Drawn):
     """A model's evaluation, with the verdict in `outcome`."""
 
     bundle: Bundle
     evaluation: Evaluation
     cautions: tuple[str, ...]
-
-    def __getitem__(self, log: int | str) -> LogView:
-        return _item(self.views, log)
 
     @cached_property
     def outcome(self) -> Outcome:
@@ -250,9 +254,7 @@ class Judgement(Shown):
     @cached_property
     def views(self) -> tuple[LogView, ...]:
         """The logs with the model's free run, as they are drawn."""
-        driver = run_config(self.bundle)[0].events.driver
-        inputs = self.bundle.calibration.input_names
-        return tuple(view_of(one, driver, inputs) for one in self.evaluation.logs)
+        return _views(self.bundle, self.evaluation.logs)
 
     @property
     def scores(self) -> pd.DataFrame:
@@ -279,10 +281,6 @@ class Judgement(Shown):
         """Faults found in the logs, as `data_prep.log.Finding` describes them."""
         return pd.DataFrame([each.row() for each in self.evaluation.findings])
 
-    def plot(self, log: int | str = 0) -> Figure:
-        """Draw one log: driver, and outputs as measured and in free run."""
-        return overlay_figure(self[log], _canvas())
-
     @property
     def summary(self) -> Summary:
         """What shells and notebooks show."""
@@ -292,11 +290,9 @@ class Judgement(Shown):
         return Summary(f"{words}: {self.outcome.headline}", lines, shown)
 
 
-def _views(bundle: Bundle, logs: Sequence[Log]) -> tuple[LogView, ...]:
-    config, settings = run_config(bundle)
-    parts = (assess_log(bundle, log, settings) for log in logs)
-    inputs = bundle.calibration.input_names
-    return tuple(view_of(one, config.events.driver, inputs) for one in parts)
+def _views(bundle: Bundle, logs: Iterable[LogEvaluation]) -> tuple[LogView, ...]:
+    driver, inputs = run_config(bundle)[0].events.driver, bundle.calibration.input_names
+    return tuple(view_of(one, driver, inputs) for one in logs)
 
 
 def read(files: Files | None = None, config: str | Path | RunConfig | None = None) -> Recordings:

@@ -74,6 +74,16 @@ class Manoeuvre:
     ground: bool | None = None
 
 
+_ACCELERATION = Manoeuvre(
+    "1.f.1", "Engine acceleration", "approach or landing",
+    "flight idle to go-around power, slam", ground=False,
+)  # fmt: skip
+_DECELERATION = Manoeuvre(
+    "1.f.2", "Engine deceleration", "ground",
+    "maximum take-off power to 90 % decay of it, slam", ground=True,
+)  # fmt: skip
+
+
 @dataclass(frozen=True)
 class Rules:
     """One rule set; `tt_origin` says whether Tt starts at 10 % or at the lever movement.
@@ -89,10 +99,10 @@ class Rules:
     name: RulesName
     source: str
     tt_origin: Literal["t10", "lever"]
-    Ti: Tolerance
-    Tt: Tolerance
-    manoeuvres: tuple[Manoeuvre, Manoeuvre]
     clauses: tuple[Clause, ...]
+    Ti: Tolerance = Tolerance(0.10, 0.25)
+    Tt: Tolerance = Tolerance(0.10, 0.25)
+    manoeuvres: tuple[Manoeuvre, Manoeuvre] = (_ACCELERATION, _DECELERATION)
     one_decides: bool = True
     Tt_otherwise: Tolerance | None = None
     least_model_share: float = 0.5
@@ -113,34 +123,27 @@ class Rules:
 
 
 _TABLE = "14 CFR Part 60 App. A, edition 1-1-14"
+_ATTACHMENT = "14 CFR Part 60 App. A Att. 2, edition 1-1-19"
 _GENERAL = (
     Clause("Two tolerances", "Of two values for one parameter the less restrictive may be used "
-           "unless said otherwise.", "14 CFR Part 60 App. A Att. 2, edition 1-1-19"),
+           "unless said otherwise.", _ATTACHMENT),
     Clause("Response", "10 % and 90 % are shares of the change between the settled levels before "
            "and after the movement."),
     Clause("Critical parameter", "The most appropriate measure of propulsive force of the engine; "
            "that one channel decides and the others support it is our inference.",
            "ICAO Doc 9625, 4th edition, corrigendum 1"),
     Clause("Related parameters", "All relevant parameters are shown; a mismatch is explained by "
-           "related variables.", "14 CFR Part 60 App. A Att. 2, edition 1-1-19"),
+           "related variables.", _ATTACHMENT),
     Clause("Between test points", "A model that is right only at its test points is not "
-           "acceptable.", "14 CFR Part 60 App. A Att. 2, edition 1-1-19"),
+           "acceptable.", _ATTACHMENT),
     Clause("Validation data", "Unaltered but for known calibration errors and with the method "
            "explained here; re-scaling and digitising are allowed.", _TABLE),
     Clause("Engineering simulator", "Data of one narrow the tolerance to 40 % in general; an "
            "identified model alone is no engineering simulator (our inference).",
-           "14 CFR Part 60 App. A Att. 2, edition 1-1-19"),
+           _ATTACHMENT),
     Clause("Recurrent evaluation", "Results are plotted over the reference data, and over the "
            "master's run where that helps; no tolerance between runs; unexplained differences are "
            "investigated.", _TABLE),
-)  # fmt: skip
-_ACCELERATION = Manoeuvre(
-    "1.f.1", "Engine acceleration", "approach or landing",
-    "flight idle to go-around power, slam", ground=False,
-)  # fmt: skip
-_DECELERATION = Manoeuvre(
-    "1.f.2", "Engine deceleration", "ground",
-    "maximum take-off power to 90 % decay of it, slam", ground=True,
 )  # fmt: skip
 _FROM_T10 = Clause("Ti and Tt", "Ti: from the first lever movement to 10 % of the response of a "
                    "critical engine parameter. Tt: from Ti to 90 % of it.")  # fmt: skip
@@ -153,8 +156,6 @@ _SETS = (
         name="paper",
         source="NARX dynamic calibration paper, section 3.2",
         tt_origin="t10",
-        Ti=Tolerance(0.10, 0.25),
-        Tt=Tolerance(0.10, 0.25),
         manoeuvres=(
             Manoeuvre("push", "Engine acceleration", "any", "lever advanced"),
             Manoeuvre("pull", "Engine deceleration", "any", "lever retarded"),
@@ -170,9 +171,7 @@ _SETS = (
         name="part60",
         source="14 CFR Part 60 App. A Table A2A, 1.f.1 and 1.f.2 (1-1-14 edition)",
         tt_origin="t10",
-        Ti=Tolerance(0.10, 0.25),
         Tt=Tolerance(0.10, 0.0),
-        manoeuvres=(_ACCELERATION, _DECELERATION),
         clauses=(
             Clause("Tolerances", "Tt ±10 %, and Ti ±10 % or ±0.25 s; no floor for Tt.", _TABLE),
             _FROM_T10,
@@ -183,19 +182,14 @@ _SETS = (
         name="part60-2016",
         source="14 CFR Part 60 as amended in 2016 (unverified)",
         tt_origin="lever",
-        Ti=Tolerance(0.10, 0.25),
-        Tt=Tolerance(0.10, 0.25),
-        manoeuvres=(_ACCELERATION, _DECELERATION),
         clauses=(_BOTH_FLOORS, _FROM_LEVER, *_GENERAL),
     ),
     Rules(
         name="cs-fstd",
         source="EASA CS-FSTD(A) Issue 2, AMC1 FSTD(A).300, 1.f.1 and 1.f.2 (unverified)",
         tt_origin="lever",
-        Ti=Tolerance(0.10, 0.25),
         Tt=Tolerance(0.10, 0.0),
         Tt_otherwise=Tolerance(0.10, 0.25),
-        manoeuvres=(_ACCELERATION, _DECELERATION),
         clauses=(
             Clause("Tolerances", "Ti ±10 % or ±0.25 s; Tt ±10 %, with or without a floor of "
                    "0.25 s: unresolved. Judged without; a sheet on which the other reading "
@@ -210,9 +204,6 @@ _SETS = (
         name="icao9625",
         source="ICAO Doc 9625, engine acceleration and deceleration (unverified)",
         tt_origin="lever",
-        Ti=Tolerance(0.10, 0.25),
-        Tt=Tolerance(0.10, 0.25),
-        manoeuvres=(_ACCELERATION, _DECELERATION),
         clauses=(_BOTH_FLOORS, _FROM_LEVER, *_GENERAL),
     ),
 )  # fmt: skip

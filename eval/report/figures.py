@@ -50,8 +50,7 @@ def overlay_figure(view: LogView, on: Figure | None = None) -> Figure:
             _deviation(rows[2 + step * position], view.log.time_s, curves.name, deviation)
     style.legend(rows[1], columns=5)
     for axes in rows:
-        style.dress(axes)
-        axes.margins(x=0.0)
+        style.over_time(axes)
         axes.set_xlabel("")
         if view.scored_from_s is not None:
             axes.axvline(view.scored_from_s, color=style.MEASURED, lw=0.9, ls=":")
@@ -313,10 +312,8 @@ def segment(log: Log, event: Event, channels: Sequence[str], title: str) -> Pict
     for part, name in zip(axes, channels, strict=True):
         colour = style.DRIVER if part is axes[0] else style.MEASURED
         style.curve(part, time, log[name][rows], colour, lw=1.2)
-        part.set_ylabel(style.with_unit(name))
         part.axvline(0.0, color="#57606a", lw=0.7, ls=":")
-        style.dress(part)
-        part.margins(x=0.0)
+        style.over_time(part, name)
     axes[-1].set_xlabel("time after the lever moved [s]")
     place = f"{event.start_s:.1f} s of {log.name}"
     return picture(figure, f"{title} at {place}", f"{title}, at {place}.")
@@ -329,9 +326,7 @@ def recorded_figure(log: Log, on: Figure | None = None) -> Figure:
     for part, name in zip(axes, names, strict=True):
         style.shade_missing(part, log.time_s, log[name])
         style.curve(part, log.time_s, log[name], style.MEASURED, lw=0.8)
-        part.set_ylabel(style.with_unit(name))
-        style.dress(part)
-        part.margins(x=0.0)
+        style.over_time(part, name)
     axes[-1].set_xlabel(f"time [s] of {log.name}")
     return figure
 
@@ -349,8 +344,7 @@ def free_runs(
     lower.set_ylabel(f"Δ{style.with_unit(channel)}")
     lower.set_xlabel("time [s]")
     for axes in (upper, lower):
-        style.dress(axes)
-        axes.margins(x=0.0)
+        style.over_time(axes)
     style.legend(lower, columns=5)
     names = ", ".join(runs)
     alt = f"{symbol(channel)} measured and in free run: {names}"
@@ -384,9 +378,7 @@ def compared(found: Comparison) -> Picture:
                 if np.isfinite(values).any():
                     style.curve(axes, time_s, values, colour, lw=1.1, ls=dashes, label=model)
             style.curve(axes, time_s, alone, style.MEASURED, lw=0.9, label="measured")
-            axes.set_ylabel(style.with_unit(name))
-            style.dress(axes)
-            axes.margins(x=0.0)
+            style.over_time(axes, name)
     for axes in grid[-1]:
         axes.set_xlabel("time [s]")
     style.legend(grid[0][0], columns=4, size=7.0)
@@ -415,9 +407,8 @@ def fused(
     for colour, (name, values) in zip(colours, others, strict=False):
         axes.plot(time_s, values, color=colour, lw=1.0, label=name)
     axes.plot(time_s, truth[1], color=style.MEASURED, lw=1.0, ls="--", label=truth[0])
-    axes.set(xlabel="time [s]", ylabel=style.with_unit(channel))
-    axes.margins(x=0.0)
-    style.dress(axes)
+    axes.set_xlabel("time [s]")
+    style.over_time(axes, channel)
     style.legend(axes, columns=5)
     return picture(figure, f"{symbol(channel)} with noise, fused and true", caption)
 

@@ -6,6 +6,7 @@ import os
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -15,12 +16,11 @@ from markupsafe import Markup
 from data_prep.log import Audit, Source
 from eval.outcome import Outcome
 from eval.report import event_figures, figures, live, tables
-from eval.report.panel import panel
 from eval.report.style import unit
 from eval.report.view import LogView
 from eval.transients import AssessedEvent, tally
 from narxcal.channels import symbol
-from narxcal.support.files import atomic_write_text
+from narxcal.support.files import atomic_write_text, versions
 
 if TYPE_CHECKING:
     from eval.compare import Comparison
@@ -30,24 +30,30 @@ if TYPE_CHECKING:
 WORST_EVENTS = 3
 
 
+def now() -> str:
+    """Time stamp of a page."""
+    return datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
+
+
 @dataclass(frozen=True, kw_only=True)
 class RunHeader:
     """What a qualification page must say about where it comes from.
 
-    `created` is a text such as `2026-11-21 02:05 UTC`; `rules` names the Ti/Tt rule set and
+    `created` is a text such as `2026-11-21 02:05 UTC`; `versions` are those of this process by
+    default; `rules` names the Ti/Tt rule set and
     `tolerances` spells it out; `facts` are further label -> text pairs (split, seeds, hardware,
     command line); `config` is the resolved configuration as text; `cautions` are warnings that a
     reader needs before the figures.
     """
 
     title: str
-    created: str
+    created: str = field(default_factory=now)
     run: str = ""
     model: str = ""
     rules: str = ""
     tolerances: str = ""
     sources: Sequence[Source] = ()
-    versions: Mapping[str, str] = field(default_factory=dict)
+    versions: Mapping[str, str] = field(default_factory=versions)
     facts: Mapping[str, str] = field(default_factory=dict)
     config: str = ""
     cautions: Sequence[str] = ()
@@ -190,7 +196,7 @@ def _environment() -> jinja2.Environment:
     environment.globals.update(
         tables=tables, figures=figures, event_figures=event_figures, live=live
     )
-    for helper in (symbol, unit, worst_events, panel, masked_share, conditions):
+    for helper in (symbol, unit, worst_events, masked_share, conditions):
         environment.globals[helper.__name__] = helper
     environment.filters.update(status=status, reasons=reasons, basename=os.path.basename)
     return environment

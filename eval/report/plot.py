@@ -23,7 +23,7 @@ from matplotlib.axes import Axes
 from eval.report import style
 from eval.report.event_figures import draw_curves, draw_output
 from eval.report.style import envelope
-from eval.report.traces import Data, Model, Traces, model_of, traces, view_of_data
+from eval.report.view import Data, Model, Traces, model_of, traces, view_of_data
 from eval.residuals import Correlation, ResidualTests, residual_tests
 from narxcal.channels import symbol
 from narxcal.support.arrays import BoolArray, FloatArray, bridge_gaps
@@ -298,8 +298,7 @@ def _axes(ax: Axes | None, width: float = 8.0, height: float = 3.2) -> Axes:
 
 def _finished(axes: Axes, given: Axes | None, columns: int = 5) -> Axes:
     """Dress the axes; those that a caller gave are often one of many and get no legend."""
-    style.dress(axes)
-    axes.margins(x=0.0)
+    style.over_time(axes)
     if given is None:
         style.legend(axes, columns=columns)
     return axes

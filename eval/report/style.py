@@ -217,6 +217,14 @@ def dress(axes: Axes, *, size: float = 8.0, grid: Literal["both", "x", "y"] = "b
     axes.set_axisbelow(True)
 
 
+def over_time(axes: Axes, channel: str = "") -> None:
+    """Dress axes over time, which fills their width; `channel` labels its values."""
+    if channel:
+        axes.set_ylabel(with_unit(channel))
+    dress(axes)
+    axes.margins(x=0.0)
+
+
 def legend(axes: Axes, columns: int = 4, size: float = 8.0) -> None:
     """Entries above the axes, where they hide no data; nothing where no curve has a label."""
     if not axes.get_legend_handles_labels()[0]:  # the plotting library would warn

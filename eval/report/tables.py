@@ -6,7 +6,7 @@ import math
 import re
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
@@ -15,6 +15,7 @@ import pandas as pd
 from markupsafe import escape
 
 from data_prep.log import Audit, AuditEntry, Source
+from eval.outcome import plural
 from eval.report.style import NOTHING, number, unit, with_unit
 from eval.report.view import LogView
 from eval.rules import TimeCheck
@@ -23,11 +24,11 @@ from narxcal.channels import symbol
 from narxcal.intervals import LEVEL
 
 if TYPE_CHECKING:
-    from eval.compare import Comparison, Row
+    from eval.compare import Comparison
+    from eval.compare import Row as ComparedRow
     from eval.crossval import CrossValidation, FoldResult
     from eval.denoising import NoiseSweep
     from eval.report.figures import WindowTrial
-    from eval.scores import ChannelScores
     from eval.trim import Trim
 
 Mark = Literal["", "best", "good", "bad", "none", "strong", "head", "group"]
@@ -44,13 +45,16 @@ class Cell:
     number: bool = False
 
 
+Row = tuple[Cell, ...]
+
+
 @dataclass(frozen=True)
 class Table:
     """A caption, a head and rows of cells; a row of one `group` cell titles those below it."""
 
     caption: str
     head: tuple[str, ...]
-    rows: tuple[tuple[Cell, ...], ...]
+    rows: tuple[Row, ...]
 
     @property
     def numeric(self) -> tuple[bool, ...]:
@@ -65,19 +69,43 @@ def figure(value: float | None, mark: Mark = "", digits: int = 3) -> Cell:
     return Cell(number(value, digits), mark, number=True)
 
 
+def row(head: str, *values: Cell | str | float | None) -> Row:
+    """Put a heading, texts and numbers (whole ones as they are) into cells."""
+    return (Cell(head, "head"), *cells(*values))
+
+
+def cells(*values: Cell | str | float | None) -> Row:
+    """Put texts and numbers into cells without a heading."""
+    return tuple(
+        one if isinstance(one, Cell)
+        else Cell(one) if isinstance(one, str)
+        else plain(str(one)) if isinstance(one, int)
+        else figure(one)
+        for one in values
+    )  # fmt: skip
+
+
+def plain(text: str) -> Cell:
+    """A number that is already text."""
+    return Cell(text, number=True)
+
+
+def by_log(views: Sequence[LogView], own: Callable[[LogView], Iterable[Row]]) -> tuple[Row, ...]:
+    """Rows of each log below its name; nothing of a log without any."""
+    rows: list[Row] = []
+    for view in views:
+        found = list(own(view))
+        rows += [(Cell(view.name, "group"),), *found] if found else []
+    return tuple(rows)
+
+
 def scores(views: Sequence[LogView]) -> Table:
     """Free-run errors of model and baselines per log and channel; the lowest RMSE is marked."""
-    trim = any(one.evaluation.untrimmed for one in views if one.evaluation is not None)
-    led = any(
-        found.network_rmse != found.rmse
-        for one in views if one.evaluation is not None
-        for found in one.evaluation.scores.values() if math.isfinite(found.rmse)
-    )  # fmt: skip
-    band = any(
-        math.isfinite(found.coverage)
-        for one in views if one.evaluation is not None
-        for found in one.evaluation.scores.values()
-    )  # fmt: skip
+    judged = [(view.name, view.evaluation) for view in views if view.evaluation is not None]
+    known = [found for _, one in judged for found in one.scores.values()]
+    trim = any(one.untrimmed for _, one in judged)
+    led = any(each.network_rmse != each.rmse for each in known if math.isfinite(each.rmse))
+    band = any(math.isfinite(each.coverage) for each in known)
     covered = (f"in {100 * LEVEL:.0f} % interval [%]", "half-width") if band else ()
     head = (
         "channel", "free run RMSE", *(("network RMSE",) if led else ()),
@@ -85,46 +113,30 @@ def scores(views: Sequence[LogView]) -> Table:
         "max rel. [%]", "one step RMSE", "static part", "dynamic part",
         *covered, *(f"{name} RMSE" for name in BASELINES.values()),
     )  # fmt: skip
-    rows: list[tuple[Cell, ...]] = []
-    for view in views:
-        if view.evaluation is None:
-            continue
-        rows.append((Cell(f"{view.name} ({view.evaluation.role})", "group"),))
-        for name, found in view.evaluation.scores.items():
-            before = view.evaluation.untrimmed.get(name)
-            more: tuple[Cell, ...] = (figure(found.network_rmse),) if led else ()
-            more += (figure(None if before is None else before.rmse),) if trim else ()
-            ends = (figure(100.0 * found.coverage), figure(found.half_width)) if band else ()
-            rows.append(_score_row(name, found, more, ends))
+    rows: list[Row] = []
+    for log, one in judged:
+        rows.append((Cell(f"{log} ({one.role})", "group"),))
+        for name, found in one.scores.items():
+            before, best = one.untrimmed.get(name), found.best_rmse
+            rows.append(row(
+                with_unit(name),
+                figure(found.rmse, "best" if found.rmse == best else ""),
+                *((found.network_rmse,) if led else ()),
+                *((None if before is None else before.rmse,) if trim else ()),
+                found.bias, 100.0 * found.nrmse, found.max_rel_pct,
+                found.one_step_rmse, found.static_rmse, found.dynamic_rmse,
+                *((100.0 * found.coverage, found.half_width) if band else ()),
+                *(figure(each, "best" if each == best else "")
+                  for each in found.baselines.values()),
+            ))  # fmt: skip
     return Table("RMSE, bias and parts in the unit of the channel", head, tuple(rows))
-
-
-def _score_row(
-    name: str, found: ChannelScores, more: tuple[Cell, ...], ends: tuple[Cell, ...]
-) -> tuple[Cell, ...]:
-    best = found.best_rmse
-    return (
-        Cell(with_unit(name), "head"),
-        figure(found.rmse, "best" if found.rmse == best else ""),
-        *more,
-        figure(found.bias),
-        figure(100.0 * found.nrmse),
-        figure(found.max_rel_pct),
-        figure(found.one_step_rmse),
-        figure(found.static_rmse),
-        figure(found.dynamic_rmse),
-        *ends,
-        *(figure(value, "best" if value == best else "") for value in found.baselines.values()),
-    )
 
 
 def offsets(trim: Trim, channels: Sequence[str], caption: str) -> Table:
     """Trim offsets per channel and altitude across the levels (0 is idle, 1 is full power)."""
     rows = [
-        (
-            Cell(with_unit(name), "head"),
-            Cell(f"{altitude_ft:,.0f}", number=True),
-            *(Cell(f"{value:+.3g}", number=True) for value in values),
+        row(
+            with_unit(name), plain(f"{altitude_ft:,.0f}"), *(plain(f"{one:+.3g}") for one in values)
         )
         for name, table in zip(channels, np.moveaxis(trim.offsets, 2, 0).tolist(), strict=True)
         for altitude_ft, values in zip(trim.altitudes_ft.tolist(), table, strict=True)
@@ -136,20 +148,15 @@ def offsets(trim: Trim, channels: Sequence[str], caption: str) -> Table:
 def pearson(table: pd.DataFrame, caption: str, strong: float = 0.8) -> Table:
     """Pearson coefficients with the strong ones marked; inputs down, outputs across."""
     rows = [
-        (
-            Cell(symbol(str(name)), "head"),
-            *(
-                Cell(
-                    f"{value:+.3f}" if math.isfinite(value) else NOTHING,
-                    "strong" if abs(value) >= strong else "",
-                    number=True,
-                )
-                for value in map(float, row)
-            ),
-        )
-        for name, row in zip(table.index, table.to_numpy(dtype=float), strict=True)
+        row(symbol(str(name)), *(_coefficient(value, strong) for value in map(float, values)))
+        for name, values in zip(table.index, table.to_numpy(dtype=float), strict=True)
     ]
     return Table(caption, ("input", *(symbol(str(name)) for name in table.columns)), tuple(rows))
+
+
+def _coefficient(value: float, strong: float) -> Cell:
+    text = f"{value:+.3f}" if math.isfinite(value) else NOTHING
+    return Cell(text, "strong" if abs(value) >= strong else "", number=True)
 
 
 def audit(record: Audit, caption: str) -> Table:
@@ -159,15 +166,8 @@ def audit(record: Audit, caption: str) -> Table:
         longest = "; ".join(f"{start:.1f} to {end:.1f}" for start, end in entry.spans_s[:6])
         more = f"; and {len(entry.spans_s) - 6} more" if len(entry.spans_s) > 6 else ""
         channel = "all channels" if entry.channel == "*" else entry.channel
-        rows.append(
-            (
-                Cell(channel, "head"),
-                Cell(entry.action),
-                Cell(entry.reason),
-                Cell(f"{entry.samples:,}", number=True),
-                Cell(longest + more or NOTHING),
-            )
-        )
+        spans = longest + more or NOTHING
+        rows.append(row(channel, entry.action, entry.reason, plain(f"{entry.samples:,}"), spans))
     return Table(caption, ("channel", "what", "why", "samples", "longer spans [s]"), tuple(rows))
 
 
@@ -177,24 +177,15 @@ def _together(entries: Iterable[AuditEntry]) -> list[AuditEntry]:
     for entry in entries:
         key = entry.channel, entry.action, entry.reason
         last = found.get(key)
-        found[key] = (
-            entry
-            if last is None
-            else replace(
-                entry,
-                samples=last.samples + entry.samples,
-                spans_s=(*last.spans_s, *entry.spans_s),
-            )
-        )
+        spans_s = (*last.spans_s, *entry.spans_s) if last else entry.spans_s
+        samples = entry.samples + (last.samples if last else 0)
+        found[key] = replace(entry, samples=samples, spans_s=spans_s)
     return list(found.values())
 
 
 def sources(files: Sequence[Source]) -> Table:
     """Every data file with its hash, which pins exactly what was evaluated."""
-    rows = [
-        (Cell(part.file, "head"), Cell(part.engine or NOTHING), Cell(part.sha256 or NOTHING))
-        for part in files
-    ]
+    rows = [row(part.file, part.engine or NOTHING, part.sha256 or NOTHING) for part in files]
     return Table("Data", ("file", "engine", "SHA-256"), tuple(rows))
 
 
@@ -202,15 +193,13 @@ def windows(trials: Sequence[WindowTrial]) -> Table:
     """RMS error that each smoothing window leaves, per log and channel, the chosen one marked."""
     widths = sorted({width for trial in trials for part in trial.rms.values() for width in part})
     rows = [
-        (
-            Cell(trial.log, "head"),
-            Cell(symbol(channel)),
-            Cell(unit(channel)),
+        row(
+            trial.log, symbol(channel), unit(channel),
             *(figure(part.get(width), "best" if width == trial.chosen else "") for width in widths),
         )
         for trial in trials
         for channel, part in trial.rms.items()
-    ]
+    ]  # fmt: skip
     head = ("log", "channel", "unit", *(f"{width} samples" for width in widths))
     return Table("RMS of smoothed minus unsmoothed signal, by window", head, tuple(rows))
 
@@ -256,17 +245,17 @@ def folds(found: CrossValidation, scheme: str) -> Table:
     """Every fold of a scheme, then mean, standard deviation, least and greatest."""
     columns, rows = measures(found), []
     for fold in found.schemes[scheme]:
-        cells = []
+        own = []
         for column in columns:
             value = fold.figures.get(column.key)
             bad = value is not None and column.limit is not None and value > column.limit
-            cells.append(figure(value, "bad" if bad else ""))
-        rows.append((Cell(fold_name(fold), "head"), Cell(_brief(fold.test)), *cells))
+            own.append(figure(value, "bad" if bad else ""))
+        rows.append(row(fold_name(fold), _brief(fold.test), *own))
     spread = found.spread(scheme)
     for name in ("mean", "std", "min", "max"):
         values = [spread.get(column.key, {}).get(name) for column in columns]
-        cells = [Cell(number(value), "strong", number=True) for value in values]
-        rows.append((Cell(name, "strong"), Cell("", "strong"), *cells))
+        own = [Cell(number(value), "strong", number=True) for value in values]
+        rows.append((Cell(name, "strong"), Cell("", "strong"), *own))
     return Table("", ("fold", "test data", *(column.title for column in columns)), tuple(rows))
 
 
@@ -279,10 +268,7 @@ def listed(names: Sequence[str]) -> str:
     """Name whole logs; of segments cut from logs, how many there are from each."""
     counts = _segments(names)
     cut = any("[" in name for name in names)
-    return ", ".join(
-        f"{name} ({n} {'part' if n == 1 else 'parts'})" if cut else name
-        for name, n in counts.items()
-    )
+    return ", ".join(f"{name} ({plural(n, 'part')})" if cut else name for name, n in counts.items())
 
 
 def _brief(names: Sequence[str]) -> str:
@@ -308,8 +294,8 @@ def noise(sweep: NoiseSweep) -> Table:
     ):
         values = [float(curve[at]) for curve in curves.values()]
         least = min((value for value in values if math.isfinite(value)), default=math.nan)
-        cells = [figure(value, "best" if value == least else "") for value in values]
-        rows.append((Cell(f"{ratio:g}", "head"), *cells, figure(float(nis))))
+        marked = [figure(value, "best" if value == least else "") for value in values]
+        rows.append(row(f"{ratio:g}", *marked, float(nis)))
     caption = f"{sweep.log}: RMSE of {with_unit(sweep.channel)} against the clean signal"
     return Table(caption, ("SNR [dB]", *curves, "mean NIS"), tuple(rows))
 
@@ -320,17 +306,15 @@ def transients(views: Sequence[LogView], *, assessable: bool) -> Table:
         "start [s]", "move", "channel", "Ti flight [s]", "Ti model [s]", "ΔTi [s]", "allowed [s]",
         "Tt flight [s]", "Tt model [s]", "ΔTt [s]", "allowed [s]", "outcome",
     )  # fmt: skip
-    rows: list[tuple[Cell, ...]] = []
-    for view in views:
-        own = [
-            _transient_row(event, one)
-            for event in view.events
-            for one in event.assessments
-            if (one.verdict.ok is not None) is assessable
-        ]
-        rows += [(Cell(view.name, "group"),), *own] if own else []
+
+    def own(view: LogView) -> Iterator[Row]:
+        for event in view.events:
+            for one in event.assessments:
+                if (one.verdict.ok is not None) is assessable:
+                    yield _transient_row(event, one)
+
     caption = "Differences are model minus flight" if assessable else ""
-    return Table(caption, head, tuple(rows))
+    return Table(caption, head, by_log(views, own))
 
 
 def reasons(assessments: Sequence[Assessment]) -> Table:
@@ -341,7 +325,7 @@ def reasons(assessments: Sequence[Assessment]) -> Table:
     found: Counter[str] = Counter()
     for reason, count in not_assessable(assessments).items():
         found[re.sub(r"\.\. of \d+ samples", ".. samples", reason)] += count
-    rows = [(Cell(reason), Cell(str(count), number=True)) for reason, count in found.most_common()]
+    rows = [cells(reason, count) for reason, count in found.most_common()]
     return Table("", ("reason", "transients"), tuple(rows))
 
 
@@ -351,58 +335,50 @@ def _seconds(time_s: float | None) -> str:
 
 def findings(views: Sequence[LogView]) -> Table:
     """What the logs show to be wrong; without times the whole of a log."""
-    rows: list[tuple[Cell, ...]] = []
-    for view in views:
-        own = [
-            (
-                Cell(", ".join(symbol(name) for name in each.channels), "head"),
-                Cell(each.kind),
-                Cell(_seconds(each.start_s), number=True),
-                Cell(_seconds(each.end_s), number=True),
-                Cell(f"{each.probability:.3f}", number=True),
-                Cell(f"{each.evidence}. {each.remedy}" if each.remedy else each.evidence),
-            )
-            for each in view.log.findings
-        ]
-        rows += [(Cell(view.name, "group"),), *own] if own else []
-    return Table("", ("channel", "kind", "from [s]", "to [s]", "probability", "what"), tuple(rows))
+
+    def own(view: LogView) -> Iterator[Row]:
+        for each in view.log.findings:
+            yield row(
+                ", ".join(symbol(name) for name in each.channels), each.kind,
+                plain(_seconds(each.start_s)), plain(_seconds(each.end_s)),
+                plain(f"{each.probability:.3f}"),
+                f"{each.evidence}. {each.remedy}" if each.remedy else each.evidence,
+            )  # fmt: skip
+
+    head = ("channel", "kind", "from [s]", "to [s]", "probability", "what")
+    return Table("", head, by_log(views, own))
 
 
 def masked_scores(views: Sequence[LogView]) -> Table:
     """RMSE with the masks of findings, and on the logs as recorded."""
-    rows: list[tuple[Cell, ...]] = []
-    for view in views:
+
+    def own(view: LogView) -> Iterator[Row]:
         found = view.evaluation
-        if found is None or not found.as_recorded:
-            continue
-        rows.append((Cell(view.name, "group"),))
+        if found is None:
+            return
         for name, before in found.as_recorded.items():
-            share = Cell(f"{100.0 * found.faulty.get(name, 0.0):.1f}", number=True)
-            pair = figure(found.scores[name].rmse), figure(before.rmse)
-            rows.append((Cell(with_unit(name), "head"), share, *pair))
+            share = plain(f"{100.0 * found.faulty.get(name, 0.0):.1f}")
+            yield row(with_unit(name), share, found.scores[name].rmse, before.rmse)
+
     head = ("RMSE of", "masked [%]", "with masks", "as recorded")
-    return Table("Masking improves a score by itself: both stand here", head, tuple(rows))
+    return Table("Masking improves a score by itself: both stand here", head, by_log(views, own))
 
 
 def levels(views: Sequence[LogView]) -> Table:
     """Level and lag over each whole log, and what held-out training logs allow."""
-    marks: dict[bool | None, tuple[str, Mark]] = {
-        True: ("pass", "good"), False: ("fail", "bad"), None: ("not judged", "none"),
+    marks: dict[bool | None, Cell] = {
+        True: Cell("pass", "good"), False: Cell("fail", "bad"), None: Cell("not judged", "none"),
     }  # fmt: skip
-    rows: list[tuple[Cell, ...]] = []
-    for view in views:
-        if view.evaluation is None or not view.evaluation.levels:
-            continue
-        rows.append((Cell(view.name, "group"),))
-        for each in view.evaluation.levels:
-            word, mark = marks[each.ok]
-            pairs = figure(each.error), figure(each.allowed), Cell(word, mark)
+
+    def own(view: LogView) -> Iterator[Row]:
+        for each in () if view.evaluation is None else view.evaluation.levels:
             lags = figure(each.lag_s, digits=2), figure(each.allowed_lag_s, digits=2)
-            logs = Cell(str(each.held_out_logs), number=True)
-            rows.append((Cell(with_unit(each.channel), "head"), *pairs, *lags, logs))
+            found = each.error, each.allowed, marks[each.ok], *lags, each.held_out_logs
+            yield row(with_unit(each.channel), *found)
+
     head = ("level of", "error", "allowed", "", "lag [s]", "allowed [s]", "held-out logs")
     caption = "Median of model minus measured, and delay of the model, over the whole log"
-    return Table(caption, head, tuple(rows))
+    return Table(caption, head, by_log(views, own))
 
 
 def tallies(views: Sequence[LogView]) -> Table:
@@ -411,36 +387,38 @@ def tallies(views: Sequence[LogView]) -> Table:
         "model", "passed", "assessed", "passed [%]", "mean |ΔTi| [%]", "mean |ΔTt| [%]",
         "mean |ΔTi| [s]", "mean |ΔTt| [s]",
     )  # fmt: skip
-    rows: list[tuple[Cell, ...]] = []
-    for view in views:
+
+    def own(view: LogView) -> Iterator[Row]:
         if view.evaluation is None:
-            continue
-        rows.append((Cell(view.name, "group"),))
+            return
         baselines = {BASELINES[name]: part for name, part in view.evaluation.baselines.items()}
         for name, part in {"model": tally(view.assessments), **baselines}.items():
-            values = (
-                part.passed_pct, part.mean_relative_Ti_pct, part.mean_relative_Tt_pct,
-                part.mean_absolute_Ti_s, part.mean_absolute_Tt_s,
+            yield row(
+                name, part.passed, part.assessed, part.passed_pct, part.mean_relative_Ti_pct,
+                part.mean_relative_Tt_pct, part.mean_absolute_Ti_s, part.mean_absolute_Tt_s,
             )  # fmt: skip
-            counts = [Cell(str(count), number=True) for count in (part.passed, part.assessed)]
-            rows.append((Cell(name, "head"), *counts, *(figure(value) for value in values)))
+
     caption = "Times read as 100 % wrong where a model failed before they could be compared"
-    return Table(caption, head, tuple(rows))
+    return Table(caption, head, by_log(views, own))
 
 
 def event_times(event: AssessedEvent) -> Table:
     """Ti and Tt of one event, shown next to its overlay."""
     head = ("channel", "", "flight [s]", "model [s]", "Δ [s]", "|Δ| [%]", "allowed [s]", "outcome")
-    rows: list[tuple[Cell, ...]] = []
+    rows: list[Row] = []
     for one in event.assessments:
-        verdict, name = one.verdict, Cell(symbol(one.channel), "head")
+        verdict, name = one.verdict, symbol(one.channel)
         if verdict.Ti is None or verdict.Tt is None:
-            rows.append((name, *[Cell(NOTHING, number=True)] * 6, outcome(one)))
+            rows.append(row(name, *[plain(NOTHING)] * 6, outcome(one)))
             continue
         rows += [
-            (name, Cell(time), *_check_cells(check), _passed(check))
+            row(
+                name, time, check.flight_s, check.model_s, plain(f"{check.error_s:+.3f}"),
+                plain(f"{100.0 * check.relative:.1f}"), check.allowed_s,
+                Cell("✓ pass", "good") if check.ok else Cell("✗ fail", "bad"),
+            )
             for time, check in (("Ti", verdict.Ti), ("Tt", verdict.Tt))
-        ]
+        ]  # fmt: skip
     return Table("", head, tuple(rows))
 
 
@@ -457,48 +435,24 @@ def move(event: AssessedEvent) -> str:
     return f"{event.move}, interrupted" if event.event.interrupted else event.move
 
 
-def _check_cells(check: TimeCheck) -> tuple[Cell, ...]:
-    return (
-        figure(check.flight_s),
-        figure(check.model_s),
-        Cell(f"{check.error_s:+.3f}", number=True),
-        Cell(f"{100.0 * check.relative:.1f}", number=True),
-        figure(check.allowed_s),
-    )
-
-
-def _passed(check: TimeCheck) -> Cell:
-    return Cell("✓ pass", "good") if check.ok else Cell("✗ fail", "bad")
-
-
-def _transient_row(event: AssessedEvent, one: Assessment) -> tuple[Cell, ...]:
+def _transient_row(event: AssessedEvent, one: Assessment) -> Row:
     verdict, flight, model = one.verdict, one.flight, one.model
-    return (
-        Cell(f"{event.event.start_s:.1f}", number=True),
-        Cell(move(event)),
-        Cell(symbol(one.channel)),
+    return cells(
+        plain(f"{event.event.start_s:.1f}"),
+        move(event),
+        symbol(one.channel),
         *_times(verdict.Ti, flight.Ti_s, model.Ti_s),
         *_times(verdict.Tt, flight.Tt_s, model.Tt_s),
         outcome(one),
     )
 
 
-def _times(check: TimeCheck | None, flight_s: float, model_s: float) -> tuple[Cell, ...]:
+def _times(check: TimeCheck | None, flight_s: float, model_s: float) -> Row:
     """Flight, model, difference and allowed; what was read though it was not compared."""
     if check is None:
-        return (
-            figure(flight_s),
-            figure(model_s),
-            Cell(NOTHING, number=True),
-            Cell(NOTHING, number=True),
-        )
-    mark: Mark = "" if check.ok else "bad"
-    return (
-        figure(check.flight_s),
-        figure(check.model_s),
-        Cell(f"{check.error_s:+.3f}", mark, number=True),
-        figure(check.allowed_s),
-    )
+        return cells(flight_s, model_s, plain(NOTHING), plain(NOTHING))
+    off = Cell(f"{check.error_s:+.3f}", "" if check.ok else "bad", number=True)
+    return cells(check.flight_s, check.model_s, off, check.allowed_s)
 
 
 def comparison(found: Comparison) -> Table:
@@ -517,44 +471,35 @@ def comparison(found: Comparison) -> Table:
     )  # fmt: skip
 
 
-def _compared_row(
-    row: Row, channels: Sequence[str], least: Mapping[str, float]
-) -> tuple[Cell, ...]:
-    found = [row.channels.get(name, {}) for name in channels]
-    errors = [one.get("rmse") for one in found]
-    marks = [error == least[name] for name, error in zip(channels, errors, strict=True)]
-    coverage = None if row.coverage_90 is None else 100.0 * row.coverage_90
-    passed = number(None)
-    if row.ti_tt is not None:
-        passed = f"{row.ti_tt.passed} of {row.ti_tt.assessed}"
-    return (
-        Cell(row.run, "head"),
-        Cell(row.method),
-        *(figure(error, "best" if mark else "")
-          for error, mark in zip(errors, marks, strict=True)),
-        *(figure(None if not one else 100.0 * one["nrmse"]) for one in found),
-        Cell(passed, number=True),
-        Cell(number(None) if row.parameters is None else str(row.parameters), number=True),
-        Cell(number(None) if row.aic is None else f"{row.aic:.0f}", number=True),
-        figure(row.fit_s),
-        figure(row.simulate_us),
-        figure(coverage),
-    )  # fmt: skip
+def _compared_row(row_: ComparedRow, channels: Sequence[str], least: Mapping[str, float]) -> Row:
+    found = [row_.channels.get(name, {}) for name in channels]
+    errors = zip(channels, (one.get("rmse") for one in found), strict=True)
+    tally_ = row_.ti_tt
+    return row(
+        row_.run,
+        row_.method,
+        *(figure(error, "best" if error == least[name] else "") for name, error in errors),
+        *(None if not one else 100.0 * one["nrmse"] for one in found),
+        None if tally_ is None else plain(f"{tally_.passed} of {tally_.assessed}"),
+        row_.parameters,
+        None if row_.aic is None else plain(f"{row_.aic:.0f}"),
+        row_.fit_s,
+        row_.simulate_us,
+        None if row_.coverage_90 is None else 100.0 * row_.coverage_90,
+    )
 
 
 def significant(found: Comparison) -> Table:
     """Significant differences, with the interval of each pair alone."""
     head = ("channel", "less", "more", "RMSE less by [%]", "95 % from", "to", "p of the table")
     rows = tuple(
-        (
-            Cell(one.channel, "head"),
-            Cell(one.better),
-            Cell(one.worse),
-            *(figure(100.0 * (1.0 - ratio)) for ratio in (one.ratio, one.high, one.low)),
+        row(
+            one.channel, one.better, one.worse,
+            *(100.0 * (1.0 - ratio) for ratio in (one.ratio, one.high, one.low)),
             figure(one.p, digits=2),
         )
         for one in found.significant
-    )
+    )  # fmt: skip
     return Table("", head, rows)
 
 

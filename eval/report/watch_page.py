@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from eval.report import style
 from eval.report.page import RunHeader, render
 from eval.report.style import Picture, number, picture
-from eval.report.tables import Cell, Table, figure
+from eval.report.tables import Cell, Row, Table, plain, row
 from eval.watch import QUANTITIES, Alarm, Effects, Key, Watch, commands
 from narxcal.channels import symbol
 from narxcal.intervals import LEVEL
@@ -81,7 +81,7 @@ def _title(alarm: Alarm) -> str:
 def alarm_table(alarms: Sequence[Alarm]) -> Table:
     """A row per change, those of one alarm below a row that says what they may be."""
     head = ("engine", "of", "size", "standard error", "unit", "p over the fleet")
-    rows: list[tuple[Cell, ...]] = []
+    rows: list[Row] = []
     for alarm in alarms:
         where = "" if alarm.first == alarm.last else f" ({alarm.first} to {alarm.last})"
         text = f"{_title(alarm)}{where}, {alarm.hours:.1f} h: {alarm.cause}"
@@ -89,10 +89,8 @@ def alarm_table(alarms: Sequence[Alarm]) -> Table:
         for key, one in alarm.changes:
             rate = 100.0 if one.kind == "trend" else 1.0
             unit = f"{key.unit} per 100 h" if one.kind == "trend" else key.unit
-            rows.append((
-                Cell(key.who, "head"), Cell(key.what), figure(rate * one.size),
-                figure(rate * one.error), Cell(unit), Cell(f"{one.adjusted:.1g}", number=True),
-            ))  # fmt: skip
+            p = plain(f"{one.adjusted:.1g}")
+            rows.append(row(key.who, key.what, rate * one.size, rate * one.error, unit, p))
     return Table("", head, tuple(rows))
 
 
@@ -100,10 +98,9 @@ def ranking_table(found: Watch, ranked: Mapping[Engine, tuple[int, float, Key]])
     """Engines with the most alarms first."""
     head = ("tail and engine", "flights", "hours", "alarms", "largest change of level", "of")
     rows = tuple(
-        (
-            Cell(key.who, "head"), Cell(str(len(found.flights[tail])), number=True),
-            figure(float(found.hours[tail][-1])),
-            Cell(str(count), "bad" if count else "", number=True), figure(size), Cell(key.what),
+        row(
+            key.who, len(found.flights[tail]), float(found.hours[tail][-1]),
+            Cell(str(count), "bad" if count else "", number=True), size, key.what,
         )
         for (tail, _), (count, size, key) in ranked.items()
     )  # fmt: skip

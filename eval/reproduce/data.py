@@ -22,9 +22,8 @@ from data_prep.log import Log
 from data_prep.prepare import hold_inputs, prepare
 from data_prep.reading import read_logs
 from eval.preparation import LogReport, examine
+from narxcal.export import ExportOptions, ExportReport, export_table
 from narxcal.export.grid import Grid
-from narxcal.export.report import ExportOptions, ExportReport
-from narxcal.export.table import export_table
 from narxcal.flight_test.fly import WriteOptions, load_scenario, write_flights
 from narxcal.flight_test.scenario import FlightScenario
 from narxcal.narx.config import NarxConfig

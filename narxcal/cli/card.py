@@ -13,10 +13,9 @@ from narxcal.calibration.bundle import load_bundle
 from narxcal.cli.console import Console
 from narxcal.cli.diagnose import DOCUMENT as GAP
 from narxcal.cli.options import add_data, add_overwrite, add_trust, minutes, path
-from narxcal.cli.results import now
 from narxcal.flight_test.moves import Limits
 from narxcal.support.errors import ConfigError
-from narxcal.support.files import atomic_write_text, check_file, to_json, versions
+from narxcal.support.files import atomic_write_text, check_file, to_json
 from narxcal.support.progress import Progress
 
 
@@ -61,9 +60,7 @@ def run(options: Namespace, console: Console) -> int:
         card = _card(options, wanted, advance)
     header = RunHeader(
         title="Flight card",
-        created=now(),
         run=str(options.source),
-        versions=versions(),
         facts={"Limits": str(options.aircraft), "Time": f"{options.minutes:g} minutes"},
         cautions=card.cautions,
     )

@@ -13,9 +13,9 @@ from eval.report.page import RunHeader, compare_page
 from narxcal.calibration.bundle import Bundle, load_bundle
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_data, add_logs, add_out, add_trust, path
-from narxcal.cli.results import data_files, hash_words, logs_for, now
+from narxcal.cli.results import data_files, hash_words, logs_for
 from narxcal.support.errors import ConfigError
-from narxcal.support.files import Results, versions
+from narxcal.support.files import Results
 
 PAGE = "compare.html"
 RESULTS = Results(SCHEMA, "compare.json", (PAGE,))
@@ -36,8 +36,7 @@ def run(options: Namespace, console: Console) -> int:
     """Compare runs; writes JSON and HTML."""
     RESULTS.check(options.out)
     runs = [
-        Run(name, bundle.record.method, bundle,
-            tuple(logs_for(bundle, options.logs, options.data, console)))
+        Run(name, bundle, tuple(logs_for(bundle, options.logs, options.data, console)))
         for name, bundle in _opened(options.runs, trust=options.trust).items()
     ]  # fmt: skip
     with console.progress("Comparing"):
@@ -45,8 +44,7 @@ def run(options: Namespace, console: Console) -> int:
     document = found.document()
     RESULTS.save(options.out, document, compare_page(_header(runs), found))
     _show(console, found)
-    console.say(f"Page: {options.out / PAGE}")
-    console.document(document)
+    console.finish(document, f"Page: {options.out / PAGE}")
     return 0
 
 
@@ -64,9 +62,7 @@ def _opened(folders: Sequence[Path], *, trust: bool) -> dict[str, Bundle]:
 def _header(runs: Sequence[Run]) -> RunHeader:
     return RunHeader(
         title=f"Comparison: {run_config(runs[0].bundle)[0].name}",
-        created=now(),
         sources=data_files(log.source for log in runs[0].logs),
-        versions=versions(),
         facts={one.name: f"{one.bundle.calibration.words}; {hash_words(one.bundle.sha256)}"
                for one in runs},
     )  # fmt: skip

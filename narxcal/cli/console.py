@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -91,6 +91,13 @@ class Console:
         """Print the JSON document, with --json."""
         if self.json:
             sys.stdout.write(to_json(document))
+
+    def finish(self, document: Mapping[str, Any], place: str, warnings: Iterable[str] = ()) -> None:
+        """End a command: its warnings, where its results are, and the JSON document."""
+        for text in warnings:
+            self.warn(text)
+        self.say(place)
+        self.document(document)
 
     @contextmanager
     def progress(self, what: str) -> Iterator[Progress]:

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
-from collections.abc import Sequence
 
 from data_prep.log import Log
 from data_prep.prepare import cautions, prepare
 from data_prep.reading import read_logs
 from eval import terminal
 from eval.crossval import SCHEMA, CrossValidation, cross_validate
-from eval.report.page import RunHeader, crossval_page
+from eval.report.page import crossval_page
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_config, add_jobs, add_method
-from narxcal.cli.results import data_files, now, read_config, with_method
-from narxcal.support.files import Results, versions
-from training.config import RunConfig
+from narxcal.cli.results import config_header, read_config, with_method
+from narxcal.support.files import Results
 from training.pipeline import configured_files
 
 PAGE = "crossval.html"
@@ -44,24 +42,12 @@ def run(options: Namespace, console: Console) -> int:
         found = cross_validate(config, base, logs, options.jobs, advance)
     document = found.document()
     warnings = cautions(logs, config, config.narx.outputs)
-    RESULTS.save(options.out, document, crossval_page(_header(config, logs, warnings), found))
+    sources = [log.source for log in logs]
+    header = config_header(f"Cross-validation: {config.name}", config, sources, warnings)
+    RESULTS.save(options.out, document, crossval_page(header, found))
     _show(console, found)
-    for text in warnings:
-        console.warn(text)
-    console.say(f"Page: {options.out / PAGE}")
-    console.document(document)
+    console.finish(document, f"Page: {options.out / PAGE}", warnings)
     return found.outcome.exit_code
-
-
-def _header(config: RunConfig, logs: Sequence[Log], warnings: Sequence[str]) -> RunHeader:
-    return RunHeader(
-        title=f"Cross-validation: {config.name}",
-        created=now(),
-        sources=data_files(log.source for log in logs),
-        versions=versions(),
-        config=config.model_dump_json(by_alias=True, indent=1),
-        cautions=warnings,
-    )
 
 
 def _show(console: Console, found: CrossValidation) -> None:

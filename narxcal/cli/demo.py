@@ -50,8 +50,7 @@ def run(options: Namespace, console: Console) -> int:
     atomic_write_text(folder / DOCUMENT, to_json(document))
     show(console, found)
     console.say("This engine is a virtual one: draw no conclusions about any real one.")
-    console.say(f"Page: {options.out / PAGES / PAGE}")
-    console.document(document)
+    console.finish(document, f"Page: {options.out / PAGES / PAGE}")
     return found.outcome.exit_code
 
 

@@ -60,8 +60,7 @@ def run(options: Namespace, console: Console) -> int:
     RESULTS.save(options.out, document, noise_page(header, outcome, sweeps))
     _show(console, sweeps)
     terminal.print_outcome(console.page, outcome)
-    console.say(f"Page: {options.out / PAGE}")
-    console.document(document)
+    console.finish(document, f"Page: {options.out / PAGE}")
     return outcome.exit_code
 
 

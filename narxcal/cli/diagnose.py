@@ -15,11 +15,12 @@ from eval.diagnosis.learned import LEARNED, keep_learned, learn_left_out
 from eval.diagnosis.page import budget_page, console_tables
 from eval.diagnosis.stored_emulator import EMULATOR, write_emulator
 from eval.diagnosis.words import outcome
-from eval.report.page import write_page
+from eval.outcome import plural
+from eval.report.page import now, write_page
 from narxcal.calibration.bundle import DOCUMENT as BUNDLE
 from narxcal.cli.console import Console
 from narxcal.cli.options import SIMULATOR, add_mapping, add_out, add_trust, path
-from narxcal.cli.results import now, read_config
+from narxcal.cli.results import read_config
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import Results, to_json
 
@@ -71,8 +72,7 @@ def run(options: Namespace, console: Console) -> int:
     with RESULTS.writing(options.out) as folder:
         document = write(folder, found)
     show(console, document)
-    console.say(f"Page: {options.out / PAGE}")
-    console.document(document)
+    console.finish(document, f"Page: {options.out / PAGE}")
     return 0
 
 
@@ -87,9 +87,8 @@ def _learn(options: Namespace, console: Console) -> int:
             keep_learned(found, options.out)
         else:
             found = learn_folders(_request(options), options.out)
-    flights = "1 flight" if found.flights == 1 else f"{found.flights} flights"
-    console.say(f"Learned from {flights}: {options.out / LEARNED}")
-    console.document(found.document())
+    flights = plural(found.flights, "flight")
+    console.finish(found.document(), f"Learned from {flights}: {options.out / LEARNED}")
     return 0
 
 

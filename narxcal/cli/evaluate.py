@@ -65,8 +65,7 @@ def run(options: Namespace, console: Console) -> int:
     found = judge(bundle, logs, (options.bundle, options.trim), console)
     RESULTS.save(out, found.document, found.html)
     show(console, found)
-    console.say(f"Page: {out / PAGE}")
-    console.document(found.document)
+    console.finish(found.document, f"Page: {out / PAGE}")
     return found.outcome.exit_code
 
 

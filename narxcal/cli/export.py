@@ -1,31 +1,66 @@
-"""`narxcal export`: a run as C, or a steady-state model as a table or a compiled FMU."""
+"""`narxcal export`: a run as C, FMU, ONNX or JSBSim with the proof of it, or a steady state.
+
+A steady-state model is written as a table or a compiled FMU, with its largest errors.
+"""
 
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from narxcal.calibration.bundle import load_bundle
+from data_prep.prepare import hold_inputs
+from eval.evaluate import evaluation_logs
+from narxcal.calibration.bundle import Bundle, load_bundle
 from narxcal.channels import channel
-from narxcal.cli import export_run
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_interval, add_logs, add_overwrite, add_trust, count, path
-from narxcal.export import ExportOptions, ExportReport, Grid, export_fmu, export_table
+from narxcal.cli.results import check_ending
+from narxcal.export import (
+    ExportOptions,
+    ExportReport,
+    Grid,
+    export_fmu,
+    export_table,
+    fmu_run,
+    jsbsim,
+    onnx_graph,
+    proof,
+)
+from narxcal.export.compiler import Compiled, compiler
+from narxcal.export.fmu import write_fmu
+from narxcal.export.onnx_model import write_onnx
+from narxcal.export.program import Exportable
 from narxcal.intervals import LEVEL
 from narxcal.steady.model import SteadyStateModel
 from narxcal.steady.opening import open_steady
 from narxcal.steady.table import read_steady_table
-from narxcal.support.errors import ConfigError, ModelError
-from narxcal.support.files import check_file
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import ConfigError, DataError, ModelError
+from narxcal.support.files import (
+    Results,
+    atomic_folder,
+    atomic_write_bytes,
+    atomic_write_text,
+    check_file,
+    check_output_folder,
+)
+from narxcal.support.progress import Progress
 from narxcal.turbofan import VirtualEngine
 from narxcal.turbofan.design import PRESETS
 from narxcal.turbofan.engine import INPUT_NAMES, OUTPUT_NAMES
 
-SCHEMA = "narxcal.export/1"
-_ENDINGS = {"table": (".csv", ".csv.gz"), "fmu": (".fmu",)}
+SCHEMA, RUN_SCHEMA = "narxcal.export/1", "narxcal.export_run/1"
+_ENDINGS = {
+    "table": (".csv", ".csv.gz"), "fmu": (".fmu",), "onnx": (".onnx",), "jsbsim": (".xml",),
+}  # fmt: skip
+_STEADY = ("table", "fmu")
+# Rows of a proof, None where the file cannot be run here, and what else is said of it.
+_Compared = tuple[list[dict[str, Any]] | None, dict[str, Any]]
+_WRITTEN = Results(proof.SCHEMA, proof.FILE, ("engine.c", "engine.h"))
 
 
 def add_options(parser: ArgumentParser) -> None:
@@ -73,27 +108,19 @@ def add_options(parser: ArgumentParser) -> None:
 
 
 def run(options: Namespace, console: Console) -> int:
-    """Export SOURCE and show its errors; returns 1 where the tolerance was missed."""
+    """Export SOURCE and show its errors; returns 1 where a tolerance or bound was missed."""
     if options.to != "table" and Path(options.source).is_dir() and not options.steady:
-        return export_run.run(options, console, _nodes(options.nodes or (), options.max_rows))
-    if options.to not in _ENDINGS:
+        return _export_run(options, console)
+    if options.to not in _STEADY:
         raise ConfigError(
             f"--to {options.to} takes a run folder, and SOURCE is {options.source}",
             hint="Train one, or export a table or an FMU",
         )
-    _check_name(options.out, options.to)
-    check_file(options.out, Path(options.source), overwrite=options.overwrite)
+    _check_file(options)
     model = open_source(options.source, options.inputs, options.outputs, trust=options.trust)
-    grid = Grid.of_model(model, _nodes(options.nodes or (), options.max_rows))
+    grid = Grid.of_model(model, _nodes(options))
     with console.progress("Exporting") as advance:
-        how = ExportOptions(
-            tolerance_pct=options.tolerance,
-            max_rows=options.max_rows,
-            refine=not options.no_refine,
-            strict=options.strict,
-            source=_shown(options.source),
-            progress=advance,
-        )
+        how = _how(options, advance)
         if options.to == "fmu":
             report = export_fmu(model, grid, options.out, options.fmi, how)
         else:
@@ -103,14 +130,25 @@ def run(options: Namespace, console: Console) -> int:
     return 0 if report.met else 1
 
 
-def _check_name(out: Path, kind: str) -> None:
-    """Refuse, before any work is done, a file name with the ending of another kind."""
-    endings = _ENDINGS[kind]
-    if not out.name.endswith(endings):
-        raise ConfigError(
-            f"--to {kind} writes a {' or '.join(endings)} file, and --out names {out.name}",
-            hint=f"Name it {out.name.partition('.')[0]}{endings[0]}",
-        )
+def _check_file(options: Namespace) -> None:
+    """Refuse, before any work, a file that is in the way or of another kind."""
+    endings = _ENDINGS[options.to]
+    what = f"--to {options.to} writes a {' or '.join(endings)} file"
+    check_ending(options.out, what, *endings)
+    check_file(options.out, Path(options.source), overwrite=options.overwrite)
+
+
+def _how(options: Namespace, advance: Progress) -> ExportOptions:
+    """Options of the export; its source without folders, which a file must not contain."""
+    source = options.source
+    return ExportOptions(
+        tolerance_pct=options.tolerance,
+        max_rows=options.max_rows,
+        refine=not options.no_refine,
+        strict=options.strict,
+        source=Path(source).resolve().name if Path(source).exists() else source,
+        progress=advance,
+    )
 
 
 def open_source(
@@ -166,20 +204,17 @@ def _function(
     raise ModelError(problem, hint="Name its columns with --inputs and --outputs")
 
 
-def _nodes(words: Sequence[str], most: int) -> dict[str, tuple[float, ...]]:
-    """Read `NAME=V`, `NAME=V,V,...` and `NAME=LOW:HIGH:COUNT`, of at most `most` nodes each.
-
-    Raises `ConfigError`.
-    """
+def _nodes(options: Namespace) -> dict[str, tuple[float, ...]]:
+    """Read --nodes: `NAME=V`, `NAME=V,V,...` and `NAME=LOW:HIGH:COUNT`; raises `ConfigError`."""
     found: dict[str, tuple[float, ...]] = {}
-    for word in words:
+    for word in options.nodes or ():
         name, _, text = word.partition("=")
         try:
             if text.count(":") == 2:
                 low, high, many = text.split(":")
-                if int(many) > most:
+                if int(many) > options.max_rows:
                     raise ConfigError(
-                        f"the nodes '{word}' are more than the limit of {most} rows",
+                        f"the nodes '{word}' are more than the limit of {options.max_rows} rows",
                         hint="Give fewer nodes, or allow more rows by --max-rows",
                     )
                 values = np.linspace(float(low), float(high), int(many)).tolist()
@@ -194,11 +229,6 @@ def _nodes(words: Sequence[str], most: int) -> dict[str, tuple[float, ...]]:
             )
         found[channel(name).name] = tuple(values)
     return found
-
-
-def _shown(source: str) -> str:
-    """Name of a source without its folders, which an exported file must not contain."""
-    return Path(source).resolve().name if Path(source).exists() else source
 
 
 def _show(console: Console, report: ExportReport) -> None:
@@ -230,3 +260,188 @@ def _show_nodes(console: Console, report: ExportReport) -> None:
         for name, axis in report.axes.items()
     ]
     console.table(title, ["input", "low", "high", "nodes"], rows)
+
+
+# --- a run ---
+
+
+def _export_run(options: Namespace, console: Console) -> int:
+    """Export a run, compare the file with `simulate`, and show the proof."""
+    out, nodes = options.out, _nodes(options)
+    if options.to == "c":
+        check_output_folder(out, _WRITTEN if options.overwrite else None)
+    else:
+        _check_file(options)
+        proof.read(out.absolute().parent)
+    bundle = load_bundle(options.source, trust=options.trust)
+    with console.progress("Exporting") as advance:
+        exported = Exportable.of(bundle, options.engine, nodes, _how(options, advance))
+        cases = _cases(bundle, exported, options, console)
+        if options.to == "c":
+            with atomic_folder(out, _WRITTEN if options.overwrite else None) as folder:
+                found = _write(exported, options, cases, folder / "engine.c")
+        else:
+            found = _write(exported, options, cases, out)
+    _show_run(console, exported, found)
+    console.document({"schema": RUN_SCHEMA, "to": options.to, "out": str(out), **found})
+    met = exported.sampled is None or exported.sampled.met
+    return 0 if found.get("ok", True) and met else 1
+
+
+def _cases(
+    bundle: Bundle, exported: Exportable, options: Namespace, console: Console
+) -> list[proof.Case]:
+    """Inputs to compare over: the logs of the run or those named, and drawn ones."""
+    model, engine = exported.model, options.engine or ""
+    cases = [proof.drawn(exported.program().envelope, engine)]
+    try:
+        logs = evaluation_logs(bundle, options.logs)
+    except (DataError, ConfigError) as error:
+        if options.logs:
+            raise
+        console.warn(f"the proof is over drawn inputs alone, without the run's logs: {error}")
+        return cases
+    for log in logs:
+        own = log.source.engine
+        if options.engine in {None, own}:
+            used = hold_inputs(log.without_faults(), model.input_names)
+            cases.append(proof.Case(log.name, own, used.matrix(model.input_names)))
+    return cases
+
+
+def _write(
+    exported: Exportable, options: Namespace, cases: list[proof.Case], file: Path
+) -> dict[str, Any]:
+    """Write a file, and enter its proof in the folder; without a tool to run it there is none."""
+    rows, more = _WRITERS[options.to](exported, options, cases, file)
+    found: dict[str, Any] = {"file": file.name, "rows": [], **more}
+    if rows is not None:
+        if options.to != "jsbsim":
+            more["sampled"] = _sampling(exported, cases)
+        found = proof.document(file, rows, _BOUNDS.get(options.to, proof.BOUND), **more)
+    proof.write(file.absolute().parent, found)
+    return found
+
+
+def _c(exported: Exportable, options: Namespace, cases: list[proof.Case], file: Path) -> _Compared:
+    """Write the sources, compile and run them."""
+    program = exported.program(options.interval)
+    for name, text in program.code.items():
+        atomic_write_text(file.parent / name, text)
+    if compiler() is None:
+        return None, {}
+    model = Compiled.of(program)
+
+    def run_c(trials: Sequence[proof.Trial]) -> Iterator[FloatArray]:
+        for case, start in trials:
+            found = model.run(case.inputs, start, program.number_of(case.engine))
+            yield found[:, : model.outputs]
+
+    rows = proof.compare(exported.model, run_c, cases)
+    step_us = model.step_us(proof.held(cases[-1].inputs))
+    return rows, {"step_us": step_us, "states": program.states}
+
+
+def _fmu(
+    exported: Exportable, options: Namespace, cases: list[proof.Case], file: Path
+) -> _Compared:
+    """Write an FMU, and run it by FMPy."""
+    program = exported.program(options.interval)
+    size = write_fmu(program, file, options.fmi)
+    if compiler() is None:
+        return None, {"bytes": size}
+    rows, step_us = fmu_run.compare(program, file, cases)
+    return rows, {"bytes": size, "step_us": step_us, "states": program.states}
+
+
+def _onnx(
+    exported: Exportable, options: Namespace, cases: list[proof.Case], file: Path
+) -> _Compared:
+    """Write a graph of one engine, and run it by onnxruntime."""
+    engine = options.engine or ""
+    size = write_onnx(exported.program(), file)
+    if onnx_graph.runtime() is None:
+        return None, {"bytes": size}
+    given = [proof.Case(case.name, engine, proof.held(case.inputs)) for case in cases]
+
+    def run_onnx(trials: Sequence[proof.Trial]) -> list[FloatArray]:
+        return onnx_graph.run(file, [case.inputs for case, _ in trials])
+
+    return proof.compare(exported.model, run_onnx, given, starts=False), {"bytes": size}
+
+
+def _jsbsim(
+    exported: Exportable, options: Namespace, cases: list[proof.Case], file: Path
+) -> _Compared:
+    """Fit JSBSim's turbine, write it, and fly it in JSBSim."""
+    model, envelope = exported.model.for_engine(options.engine or ""), exported.program().envelope
+    logs = cases[1:] or cases
+    turbine = jsbsim.Turbine.of(model, envelope, logs)
+    data = turbine.xml(exported.about)
+    atomic_write_bytes(file, data)
+    if jsbsim.runtime() is None:
+        return None, {"bytes": len(data)}
+    rows, misfit = jsbsim.compare(model, turbine, data, logs)
+    return rows, {"bytes": len(data), "misfit": misfit, "throttle": turbine.to_json()}
+
+
+def _sampling(exported: Exportable, cases: list[proof.Case]) -> dict[str, Any] | None:
+    """What sampling the steady state changed: at random conditions, and in free run."""
+    if exported.sampled is None:
+        return None
+    rows = proof.compare(
+        exported.original, proof.simulated(exported.model), cases[1:], starts=False
+    )
+    return {"steady": exported.sampled.to_dict(), "rows": rows}
+
+
+_WRITERS: dict[str, Callable[[Exportable, Namespace, list[proof.Case], Path], _Compared]] = {
+    "c": _c,
+    "fmu": _fmu,
+    "onnx": _onnx,
+    "jsbsim": _jsbsim,
+}
+_BOUNDS = {"onnx": onnx_graph.BOUND, "jsbsim": jsbsim.BOUND}  # of the others, that of `proof`
+_NO_COMPILER = "there is no C compiler 'cc' on the PATH: sources alone, and no proof"
+_NO_PROOF = {
+    ".onnx": "onnxruntime is not installed: no proof",
+    ".xml": "jsbsim is not installed: no proof",
+}
+
+
+def _show_run(console: Console, exported: Exportable, found: dict[str, Any]) -> None:
+    for line in exported.about[2:]:
+        console.say(line)
+    if exported.sampled is not None and not exported.sampled.met:
+        console.warn(f"steady state: {exported.sampled.shortfall}")
+    rows = [
+        [row["log"], row["what"], str(row["samples"]), f"{max(row['largest'].values()):.2g}"]
+        for row in found["rows"]
+    ]
+    if not rows:
+        console.warn(_NO_PROOF.get(Path(found["file"]).suffix, _NO_COMPILER))
+        return
+    console.table(
+        "Largest difference from simulate", ["log", "what", "samples", "any output"], rows
+    )
+    if "step_us" in found:
+        console.say(f"{found['step_us']:.2f} us a step, {found['states']} numbers in the state")
+    if "misfit" in found:
+        _show_misfit(console, found["misfit"])
+    if not found["ok"]:
+        console.warn(f"the largest difference, {found['largest']:.3g}, is above {found['bound']:g}")
+
+
+def _show_misfit(console: Console, misfit: dict[str, Any]) -> None:
+    """What JSBSim's form does not hold."""
+    rows = [
+        [what, *(f"{value:.2f}" for value in by.values())]
+        for part, suffix in (("largest", "largest"), ("rms", "RMS"))
+        for what, by in ((f"{name}, {suffix}", one) for name, one in misfit[part].items())
+    ]
+    rows += [
+        [f"{what}, s to 90 %", *(f"{one['run']:.2f} -> {one['jsbsim']:.2f}" for one in by.values())]
+        for what, by in misfit["t90_s"].items()
+    ]
+    spools = list(next(iter(misfit["t90_s"].values())))
+    console.table("What the form of JSBSim's turbine does not hold, %", ["", *spools], rows)

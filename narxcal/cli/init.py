@@ -28,8 +28,8 @@ from narxcal.atmosphere import cas_of_mach
 from narxcal.channels import SPOOLS
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_overwrite, path
-from narxcal.support.errors import ConfigError
-from narxcal.support.files import atomic_write_bytes, atomic_write_text, check_file
+from narxcal.cli.results import check_pair
+from narxcal.support.files import atomic_write_bytes, atomic_write_text
 from narxcal.support.settings import OPEN
 from training.config import SCHEMA, RunConfig
 
@@ -54,14 +54,7 @@ def add_options(parser: ArgumentParser) -> None:
 def run(options: Namespace, console: Console) -> int:
     """Write the configuration and the plot; returns 0 whether anything is open or not."""
     out: Path = options.out
-    if out.suffix != ".toml":
-        raise ConfigError(
-            f"a configuration is a .toml file, and --out names {out.name}",
-            hint=f"Name it {out.stem or 'mine'}.toml",
-        )
-    plot = out.with_suffix(".png")
-    for file in (out, plot):
-        check_file(file, *options.logs, overwrite=options.overwrite)
+    plot = check_pair(options, "a configuration", (".toml", ".png"), *options.logs)
     with console.progress("Reading the logs"):
         columns = draft(options.logs)
         logs = [log for file in options.logs[:_MOST_READ] for log in _read(file, columns)]

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import os
+import sys
 from argparse import SUPPRESS, ArgumentParser, ArgumentTypeError, _ArgumentGroup
+from collections.abc import Callable
 from pathlib import Path
 
 # A parser, or a group of its options with a title of their own.
@@ -32,22 +34,33 @@ def address(text: str) -> Path | str:
     return plain if "://" in plain else path(plain).absolute()
 
 
-def fraction(text: str) -> float:
-    """Fraction from 0 to 0.9, as `--trim` takes it: the rest has to be long enough to score."""
-    value = _number(text)
-    if not 0.0 <= value <= 0.9:
-        raise ArgumentTypeError(f"expected a fraction from 0 to 0.9, found {text}")
-    return value
+def _between(low: float, high: float, what: str) -> Callable[[str], float]:
+    """Number from `low` to `high`, as an option of `what` takes it."""
+
+    def read(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not low <= value <= high:
+            raise ArgumentTypeError(f"expected {what}, found {text}")
+        return value
+
+    return read
+
+
+# Of `--trim`: the rest has to be long enough to score.
+fraction = _between(0.0, 0.9, "a fraction from 0 to 0.9")
+minutes = _between(1.0, 600.0, "1 to 600 minutes")
+seconds = _between(sys.float_info.min, math.inf, "more than 0 s")
 
 
 def level(text: str) -> float:
     """Share of samples that an interval covers, as `--interval` takes it."""
     from narxcal.intervals import LEVELS  # noqa: PLC0415 -- help does not wait for numpy
 
-    value = _number(text)
-    if not LEVELS[0] <= value <= LEVELS[-1]:
-        raise ArgumentTypeError(f"expected a share from {LEVELS[0]} to {LEVELS[-1]}, found {text}")
-    return value
+    low, high = LEVELS[0], LEVELS[-1]
+    return _between(low, high, f"a share from {low} to {high}")(text)
 
 
 def add_interval(parser: Options, default: float | None = None) -> None:
@@ -60,22 +73,6 @@ def add_interval(parser: Options, default: float | None = None) -> None:
         default=default,
         help=f"columns X_low and X_high, between which this share of samples lies{shown}",
     )
-
-
-def seconds(text: str) -> float:
-    """Time of more than 0 s, as `--timeout` takes it; `inf` is no limit."""
-    value = _number(text)
-    if not value > 0.0:
-        raise ArgumentTypeError(f"expected more than 0 s, found {text}")
-    return value
-
-
-def minutes(text: str) -> float:
-    """Flight time from 1 to 600 minutes, as `--minutes` takes it."""
-    value = _number(text)
-    if not 1.0 <= value <= 600.0:
-        raise ArgumentTypeError(f"expected 1 to 600 minutes, found {text}")
-    return value
 
 
 def count(text: str) -> int:
@@ -98,14 +95,6 @@ def _whole(text: str, least: int, most: int) -> int:
     if value > most:
         raise ArgumentTypeError(f"expected a whole number of at most {most}, found {text[:40]}")
     return value
-
-
-def _number(text: str) -> float:
-    """NaN, which no option allows, where the text is no number."""
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan
 
 
 # --- options ---

@@ -26,10 +26,10 @@ from eval.preparation import (
     pearson_table,
     windows_table,
 )
-from eval.report.page import PreparedLog, RunHeader, prepare_page
+from eval.report.page import PreparedLog, prepare_page
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_config, add_jobs
-from narxcal.cli.results import data_files, now, read_config
+from narxcal.cli.results import config_header, read_config
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import NarxcalError
 from narxcal.support.files import TIME_FORMAT, Results, csv_blocks, text_cell, versions
@@ -74,8 +74,10 @@ def run(options: Namespace, console: Console) -> int:
         document = _document(config, logs, names, forms)
         _write_tables(folder, logs)
         RESULTS.write(folder, document)
+        title, sources = f"Prepared logs: {config.name}", [one.source for one in logs]
+        header = config_header(title, config, sources, document["cautions"])
         with (folder / RESULTS.others[0]).open("w", encoding="utf-8") as page:
-            page.writelines(prepare_page(_header(config, logs), [one.page for one in logs]))
+            page.writelines(prepare_page(header, [one.page for one in logs]))
     _show(console, logs, options.out)
     for caution in document["cautions"]:
         console.warn(caution)
@@ -210,17 +212,6 @@ def file_names(logs: Sequence[str]) -> list[str]:
         tries = (f"logs/{stem}{tail}" for tail in chain([""], map("({})".format, count(2))))
         found[next(name for name in tries if name not in found)] = None
     return list(found)
-
-
-def _header(config: RunConfig, logs: Sequence[LogSummary]) -> RunHeader:
-    return RunHeader(
-        title=f"Prepared logs: {config.name}",
-        created=now(),
-        sources=data_files(one.source for one in logs),
-        versions=versions(),
-        config=config.model_dump_json(by_alias=True, indent=1),
-        cautions=cautions_about(logs),
-    )
 
 
 def _show(console: Console, logs: Sequence[LogSummary], out: Path) -> None:

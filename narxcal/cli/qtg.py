@@ -25,8 +25,7 @@ from eval.transients import TransientsConfig
 from narxcal.calibration.bundle import Bundle, load_bundle
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_data, add_logs, add_overwrite, add_run, path
-from narxcal.cli.results import logs_for
-from narxcal.support.errors import ConfigError
+from narxcal.cli.results import check_pair, logs_for
 from narxcal.support.files import atomic_write_bytes, atomic_write_text, check_file, to_json
 
 
@@ -77,23 +76,17 @@ def run(options: Namespace, console: Console) -> int:
     atomic_write_text(document, to_json(found))
     atomic_write_bytes(options.out, pages)
     _show(console, guide)
-    console.say(f"Guide: {options.out} and {document.name}")
-    console.document(found)
+    console.finish(found, f"Guide: {options.out} and {document.name}")
     return 0 if guide.ok else 1
 
 
 def _check(options: Namespace) -> Path:
     """Refuse, before any work is done, what cannot be written; returns the JSON file's path."""
-    if options.out.suffix != ".pdf":
-        raise ConfigError(
-            f"the guide is a .pdf file, and --out names {options.out.name}",
-            hint=f"Name it {options.out.stem or 'qtg'}.pdf",
-        )
-    document: Path = options.out.with_suffix(".json")
-    read = [each for each in (options.bundle, options.tests, options.master) if each]
-    for out in (options.out, document, options.write_tests):
-        if out is not None:
-            check_file(out, *read, *(options.logs or ()), overwrite=options.overwrite)
+    given = (options.bundle, options.tests, options.master, *(options.logs or ()))
+    read = [each for each in given if each]
+    document = check_pair(options, "the guide", (".pdf", ".json"), *read)
+    if options.write_tests:
+        check_file(options.write_tests, *read, overwrite=options.overwrite)
     return document
 
 

@@ -37,7 +37,7 @@ from eval.rules import rules
 from narxcal.calibration.bundle import write_bundle
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_data, add_jobs, add_out, seed
-from narxcal.cli.results import data_files, now, read_config
+from narxcal.cli.results import data_files, read_config
 from narxcal.support.files import Results, atomic_write_text, to_json, versions
 from training.config import RunConfig
 
@@ -79,8 +79,7 @@ def run(options: Namespace, console: Console) -> int:
     found = _studied(data, Effort(iterations, splits, options.jobs), console)
     _write(out, found, options)
     _show_studies(console, found.studies, found.outcome)
-    console.say(f"Page: {options.out / PAGE}")
-    console.document(_document(found, options))
+    console.finish(_document(found, options), f"Page: {options.out / PAGE}")
     return found.outcome.exit_code
 
 
@@ -109,11 +108,10 @@ def _identification_paper(options: Namespace, out: Path, console: Console) -> in
         "complete": True,
         "quick": options.quick,
     }
-    header = RunHeader(title=title, created=now(), versions=versions())
+    header = RunHeader(title=title)
     RESULTS.save(out, document, reproduction_page(header, studies))
     _show_studies(console, studies, outcome)
-    console.say(f"Page: {options.out / PAGE}")
-    console.document(document)
+    console.finish(document, f"Page: {options.out / PAGE}")
     return outcome.exit_code
 
 
@@ -177,13 +175,11 @@ def _header(found: Reproduction, options: Namespace) -> RunHeader:
     origin = "the user's own" if options.data else f"virtual flights, seed {options.seed}"
     return RunHeader(
         title="The calibration paper reproduced",
-        created=now(),
         run=config.name,
         model=found.bundle.calibration.words,
         rules=rule_set.name,
         tolerances=f"Ti {rule_set.Ti}; Tt {rule_set.Tt} ({rule_set.source})",
         sources=data_files(log.source for log in found.data.logs),
-        versions=versions(),
         facts={
             "Data": origin,
             "Test data sets": found.data.labels(found.data.tests),

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import json
+from argparse import Namespace
 from collections.abc import Iterable, Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data_prep.log import Log, Source
+from eval.outcome import plural
 from eval.report.page import RunHeader
 from eval.rules import Rules
 from narxcal.channels import described
 from narxcal.cli.console import Console
 from narxcal.intervals import ENOUGH, LEVEL, HalfWidths
+from narxcal.support.errors import ConfigError
+from narxcal.support.files import check_file
 from training.config import IdentifyConfig, RunConfig, load_config
 
 if TYPE_CHECKING:
@@ -122,7 +125,7 @@ def interval_words(
     """Say what the interval of a model of the outputs `names` rests on, or that it has none."""
     if found is None:
         return "No interval: the model stores no errors of held-out logs"
-    logs = f"{found.pieces} held-out {'log' if found.pieces == 1 else 'logs'}"
+    logs = plural(found.pieces, "held-out log")
     few = ", so few that it is widened" if found.pieces < ENOUGH else ""
     pairs = zip(names, found.between, strict=False)
     levels = ", ".join(f"{name} {each:.2g} {described(name).unit}" for name, each in pairs)
@@ -130,9 +133,31 @@ def interval_words(
     return f"Interval of {100.0 * level:g} % by the errors of {logs}{few}{days}"
 
 
-def now() -> str:
-    """Time stamp of a page."""
-    return datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
+def check_ending(out: Path, what: str, *endings: str) -> None:
+    """Refuse, before any work is done, a name with the ending of another kind of file."""
+    if not out.name.endswith(endings):
+        stem = out.name.removesuffix(".gz").rpartition(".")[0] or out.name or "result"
+        raise ConfigError(f"{what}, and --out names {out.name}", hint=f"Name it {stem}{endings[0]}")
+
+
+def check_pair(options: Namespace, what: str, endings: tuple[str, str], *read: Path) -> Path:
+    """Refuse --out where it, or the file next to it, has another ending or is in the way.
+
+    `read` is what the command reads. Returns the second file; raises `ConfigError`.
+    """
+    check_ending(options.out, f"{what} is a {endings[0]} file", endings[0])
+    second: Path = options.out.with_suffix(endings[1])
+    for out in (options.out, second):
+        check_file(out, *read, overwrite=options.overwrite)
+    return second
+
+
+def config_header(
+    title: str, config: RunConfig, sources: Iterable[Source], cautions: Sequence[str]
+) -> RunHeader:
+    """Header of a page about logs and the configuration that they were read by."""
+    text = config.model_dump_json(by_alias=True, indent=1)
+    return RunHeader(title=title, sources=data_files(sources), config=text, cautions=cautions)
 
 
 def header_of(
@@ -144,7 +169,6 @@ def header_of(
     record = bundle.record
     return RunHeader(
         title=title,
-        created=now(),
         run=str(run),
         model=f"{bundle.calibration.words}, over {', '.join(bundle.calibration.input_names)}",
         rules=found.name,

@@ -11,10 +11,9 @@ from eval.report.watch_page import console_rows, watch_page
 from eval.watch import watch
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_overwrite, address, path
-from narxcal.cli.results import now
+from narxcal.cli.results import check_pair
 from narxcal.support.addresses import Folder
-from narxcal.support.errors import ConfigError
-from narxcal.support.files import atomic_write_text, check_file, to_json, versions
+from narxcal.support.files import atomic_write_text, to_json
 
 
 def add_options(parser: ArgumentParser) -> None:
@@ -51,32 +50,21 @@ def _pattern(text: str) -> str:
 
 def run(options: Namespace, console: Console) -> int:
     """Watch a fleet; writes page and document, returns 1 where an alarm stands."""
-    document = options.out.with_suffix(".json")
-    if options.out.suffix != ".html":
-        raise ConfigError(
-            f"the page is a .html file, and --out names {options.out.name}",
-            hint=f"Name it {options.out.stem or 'watch'}.html",
-        )
     dataset = Folder(str(options.fleet))
     inputs = [] if dataset.local is None else [dataset.local]
-    for out in (options.out, document):
-        check_file(out, *inputs, overwrite=options.overwrite)
+    document = check_pair(options, "the page", (".html", ".json"), *inputs)
     place = {}
     if options.config:
         fleet = load_fleet(options.config)
         place = {"flights": fleet.flights, "run": fleet.run}
     with console.progress("Watching"):
         found = watch(dataset, options.engine)
-    header = RunHeader(title="Fleet watch", created=now(), run=str(options.fleet),
-                       versions=versions())  # fmt: skip
+    header = RunHeader(title="Fleet watch", run=str(options.fleet))
     result = found.document()
     atomic_write_text(options.out, watch_page(header, found, place))
     atomic_write_text(document, to_json(result))
     if found.alarms:
         console.table("Alarms", ["alarm", "of", "p", "may be"], console_rows(found))
     console.say(found.outcome.headline)
-    for text in found.remarks:
-        console.warn(text)
-    console.say(f"Page: {options.out} and {document.name}")
-    console.document(result)
+    console.finish(result, f"Page: {options.out} and {document.name}", found.remarks)
     return found.outcome.exit_code

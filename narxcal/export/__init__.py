@@ -2,7 +2,7 @@
 
 from narxcal.export.fmu import export_fmu
 from narxcal.export.grid import Grid
+from narxcal.export.plan import export_table
 from narxcal.export.report import ExportOptions, ExportReport
-from narxcal.export.table import export_table
 
 __all__ = ["ExportOptions", "ExportReport", "Grid", "export_fmu", "export_table"]

@@ -79,11 +79,11 @@ def variables(program: Program) -> list[Variable]:
     found = []
     for k, name in enumerate(inputs):
         low, high = envelope.low[k], envelope.high[k]
-        text, start = f"{_meaning(name)}, from {low:g} to {high:g}", repr(program.start[k])
+        text, start = f"{described(name).meaning}, from {low:g} to {high:g}", repr(program.start[k])
         found.append(Variable(name, k, text, "input", start=start, channel=name))
     settled, first, count = "" if program.states else ", settled", len(inputs), len(outputs)
     for k, name in enumerate(outputs):
-        text = f"{_meaning(name)}{settled}"
+        text = f"{described(name).meaning}{settled}"
         found.append(Variable(name, first + k, text, "output", channel=name))
     if model.interval is not None:
         for row, end in ((1, "low"), (2, "high")):
@@ -108,17 +108,12 @@ def variables(program: Program) -> list[Variable]:
     return found
 
 
-def _meaning(name: str) -> str:
-    return described(name).meaning
-
-
 @dataclass(frozen=True, eq=False)
 class Description:
-    """Content of the XML: identifier, token, text on the origin, program, files to compile."""
+    """Content of the XML: identifier, token, program, files to compile."""
 
     identifier: str
     token: str
-    text: str
     program: Program
     sources: tuple[str, ...]
 
@@ -131,7 +126,7 @@ class Description:
                 "fmiVersion": version,
                 "modelName": self.identifier,
                 "guid" if two else "instantiationToken": self.token,
-                "description": self.text,
+                "description": "; ".join(self.program.about),
                 "generationTool": generation_tool(),
                 "variableNamingConvention": "flat",
             },
@@ -281,8 +276,7 @@ def write_fmu(program: Program, file: Path, fmi: str = "2.0") -> int:
     token = f"{{{'-'.join(parts)}}}"
     code["token.h"] = f'#define TOKEN "{token}"\n'
     to_compile = tuple(name for name in code if name.endswith(".c"))
-    text = "; ".join(program.about)
-    about = Description(_identifier(file), token, text, program, to_compile)
+    about = Description(_identifier(file), token, program, to_compile)
     members = {"modelDescription.xml": about.model(fmi)}
     if compiler() is not None:
         binary = f"binaries/{folder}/{about.identifier}{SUFFIX}"

@@ -2,23 +2,27 @@
 
 A `Number` is a float64 column (batch,) or rows (batch, ...) of a graph. Functions that were written
 for floats and compiled by numba are traced: `traced` rebuilds a module's functions so that they
-take numbers; a branch on a number runs both ways, and `Where` joins what comes back.
+take numbers; a branch on a number runs both ways, and `Where` joins what comes back. `run` runs
+an exported graph by onnxruntime.
 """
 
 from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from types import FunctionType, ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ModelError
 
 OPSET = 18
+BOUND = 1e-5  # of a difference between onnxruntime and `simulate`
 
 
 class Graph:
@@ -176,3 +180,31 @@ def traced(module: ModuleType, made: dict[str, dict[str, Any]] | None = None) ->
             continue
         names[name] = _both_ways(FunctionType(plain.__code__, home, plain.__name__))
     return names
+
+
+# --- a written graph ---
+
+
+def runtime() -> Any:
+    """The module onnxruntime, None where it is not installed."""
+    try:
+        import onnxruntime  # noqa: PLC0415  (no extra of narxcal has it)
+    except ImportError:
+        return None
+    return onnxruntime
+
+
+def run(file: Path, inputs: Sequence[FloatArray]) -> list[FloatArray]:
+    """Free runs (time, n_out) from equilibrium over inputs (time, n_in), all as one batch."""
+    ort = runtime()
+    options = ort.SessionOptions()
+    options.intra_op_num_threads = 1
+    session = ort.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
+    width, longest = session.get_inputs()[0].shape[1], max(map(len, inputs))
+    state, rows = np.full((len(inputs), width), np.nan), []
+    for k in range(longest):
+        given = np.array([one[min(k, len(one) - 1)] for one in inputs])
+        state, output = session.run(["next_state", "output"], {"state": state, "input": given})
+        rows.append(output)
+    found = np.array(rows)
+    return [found[: len(one), k] for k, one in enumerate(inputs)]

@@ -1,11 +1,17 @@
-"""Choose the nodes of an export: until the sampled model meets the tolerance or is too large."""
+"""Choose the nodes of an export: until the sampled model meets the tolerance or is too large.
+
+`export_table` writes what was sampled as a CSV that `narxcal.steady.table` reads.
+"""
 
 from __future__ import annotations
 
+import gzip
 import math
 from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from os import PathLike
+from pathlib import Path
 
 import numpy as np
 
@@ -19,11 +25,20 @@ from narxcal.export.grid import (
     rounded,
     sample,
 )
-from narxcal.export.report import ADVICE, ExportOptions, ExportReport, Measured, Probes, Stopped
+from narxcal.export.report import (
+    ADVICE,
+    ExportOptions,
+    ExportReport,
+    Measured,
+    Probes,
+    Stopped,
+    description,
+)
 from narxcal.steady.model import SteadyStateModel
 from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.compiled import compiled
 from narxcal.support.errors import ModelError
+from narxcal.support.files import atomic_write_bytes
 
 
 def candidates(nodes: Sequence[float], most: int) -> FloatArray:
@@ -393,3 +408,42 @@ class _Sampling:
 def _rows(layer: Layer, nodes: dict[str, FloatArray]) -> int:
     lengths = [len(nodes.get(name, layer.grid.axes[name])) for name in layer.names]
     return int(np.prod(lengths, dtype=np.int64))
+
+
+# --- a table ---
+
+
+def export_table(
+    model: SteadyStateModel,
+    grid: Grid,
+    path: str | PathLike[str],
+    options: ExportOptions | None = None,
+) -> ExportReport:
+    """Sample `model` on a full grid and write a CSV (or .csv.gz), completely or not at all.
+
+    `grid` has the first nodes; `ExportOptions` limit how many are added. Inputs of one node are
+    left out. The same model and options give the same bytes.
+
+    Raises `ModelError` as `plan`, and `ConfigError` where the file cannot be written.
+    """
+    chosen, file = options or ExportOptions(), Path(path)
+    planned = plan(model, grid, chosen, separate=False)
+    draft = planned.report(grid, chosen, str(file), 0)
+    comments = "".join(f"# {line}\n" for line in description(draft, chosen.source))
+    data = (comments + _csv(planned)).encode("utf-8")
+    if file.suffix == ".gz":
+        data = gzip.compress(data, compresslevel=9, mtime=0)
+    atomic_write_bytes(file, data)
+    return planned.report(grid, chosen, str(file), len(data))
+
+
+def _csv(planned: Planned) -> str:
+    (block,) = planned.gridded.blocks
+    nodes = [[repr(value) for value in axis.tolist()] for axis in block.axes]
+    places = np.unravel_index(np.arange(block.rows), block.values.shape[:-1])
+    values = block.values.reshape(block.rows, -1).tolist()
+    lines = [",".join((*planned.gridded.input_names, *planned.gridded.output_names))]
+    for where, row in zip(np.column_stack(places).tolist(), values, strict=True):
+        at = [axis[place] for axis, place in zip(nodes, where, strict=True)]
+        lines.append(",".join([*at, *(f"{value:.9g}" for value in row)]))
+    return "\n".join(lines) + "\n"

@@ -13,7 +13,7 @@ import itertools
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 
@@ -34,35 +34,12 @@ class Switched:
         return Switched(self.channel, self.start_s + seconds, self.stop_s + seconds)
 
 
-class Manoeuvre(Protocol):
-    """Motion of one lever between 0 and `duration_s`."""
-
-    @property
-    def duration_s(self) -> float:
-        """Length in s."""
-
-    @property
-    def net_deg(self) -> float:
-        """Change of angle from start to end."""
-
-    @property
-    def reach_deg(self) -> tuple[float, float]:
-        """Lowest and highest swing: at most and at least 0."""
-
-    @property
-    def switched(self) -> tuple[Switched, ...]:
-        """Switches inverted during the manoeuvre."""
-
-    def swing_deg(self, time_s: FloatArray) -> FloatArray:
-        """Angle from the start at `time_s` `(time,)`: 0 before the start, `net_deg` after it."""
-
-
 @dataclass(frozen=True)
 class Corners:
     """Linear interpolation between `points`, (time in s, angle from the start in deg).
 
-    The first point is (0, 0). Two points at one time are a step at that time.
-    Raises `ConfigError` for points that are not in order of time.
+    The first point is (0, 0). Two points at one time are a step at that time. `switched` are the
+    switches inverted meanwhile. Raises `ConfigError` for points that are not in order of time.
     """
 
     points: tuple[tuple[float, float], ...]
@@ -94,7 +71,7 @@ class Corners:
         return min(angles), max(angles)
 
     def swing_deg(self, time_s: FloatArray) -> FloatArray:
-        """Interpolate between the corners."""
+        """Angle from the start at `time_s` `(time,)`: 0 before it, `net_deg` after the end."""
         times, angles = np.array(self.points).T
         # At two points of one time `interp` returns the later one.
         return np.where(time_s < 0.0, 0.0, np.interp(time_s, times, angles))
@@ -105,9 +82,9 @@ class Sweep:
     """Frequency sweep `A sin(phi)` from `low_hz` to `high_hz` in about `wanted_s`.
 
     With `k = high_hz / low_hz` and `T` the duration, phi over 2 pi is
-    `low_hz t + (high_hz - low_hz) t^2 / (2 T)` (linear) or `low_hz T (k^(t/T) - 1) / ln k`
-    (logarithmic: equal time per octave). `T` is the duration nearest to `wanted_s` with a whole
-    number of cycles, so that the lever returns to its start.
+    `low_hz T (k^(t/T) - 1) / ln k` (equal time per octave). `T` is the duration nearest to
+    `wanted_s` with a whole number of cycles, so that the lever returns to its start.
+
     Raises `ConfigError` unless `0 < low_hz < high_hz` and there is time for half a cycle.
     """
 
@@ -115,8 +92,8 @@ class Sweep:
     low_hz: float
     high_hz: float
     wanted_s: float
-    logarithmic: bool = True
-    switched: tuple[Switched, ...] = ()
+    switched: ClassVar[tuple[Switched, ...]] = ()
+    net_deg: ClassVar[float] = 0.0  # it ends at its start
 
     def __post_init__(self) -> None:
         if not 0.0 < self.low_hz < self.high_hz:
@@ -134,99 +111,38 @@ class Sweep:
     @property
     def _mean_hz(self) -> float:
         """Cycles per second over the whole sweep."""
-        if self.logarithmic:
-            return (self.high_hz - self.low_hz) / math.log(self.high_hz / self.low_hz)
-        return 0.5 * (self.low_hz + self.high_hz)
-
-    @property
-    def cycles(self) -> int:
-        """Whole number of cycles."""
-        return max(1, round(self.wanted_s * self._mean_hz))
+        return (self.high_hz - self.low_hz) / math.log(self.high_hz / self.low_hz)
 
     @property
     def duration_s(self) -> float:
         """Time of the whole cycles."""
-        return self.cycles / self._mean_hz
-
-    @property
-    def net_deg(self) -> float:
-        """Zero: the sweep ends at its start."""
-        return 0.0
+        return max(1, round(self.wanted_s * self._mean_hz)) / self._mean_hz
 
     @property
     def reach_deg(self) -> tuple[float, float]:
         """One amplitude either way."""
         return -abs(self.amplitude_deg), abs(self.amplitude_deg)
 
-    def phase_rad(self, time_s: FloatArray) -> FloatArray:
-        """Phase at `time_s` `(time,)` within the sweep."""
+    def swing_deg(self, time_s: FloatArray) -> FloatArray:
+        """Angle from the start at `time_s` `(time,)`: 0 before the start and after the end."""
         ratio, length = self.high_hz / self.low_hz, self.duration_s
-        if self.logarithmic:
-            cycles = self.low_hz * length * (ratio ** (time_s / length) - 1.0) / math.log(ratio)
-        else:
-            cycles = self.low_hz * time_s
-            cycles = cycles + (self.high_hz - self.low_hz) * time_s**2 / (2.0 * length)
-        return 2.0 * np.pi * cycles
-
-    def swing_deg(self, time_s: FloatArray) -> FloatArray:
-        """Sine of the phase."""
-        within = (time_s > 0.0) & (time_s < self.duration_s)
-        inside = np.clip(time_s, 0.0, self.duration_s)
-        return np.where(within, self.amplitude_deg * np.sin(self.phase_rad(inside)), 0.0)
+        within = (time_s > 0.0) & (time_s < length)
+        inside = np.clip(time_s, 0.0, length)
+        cycles = self.low_hz * length * (ratio ** (inside / length) - 1.0) / math.log(ratio)
+        return np.where(within, self.amplitude_deg * np.sin(2.0 * np.pi * cycles), 0.0)
 
 
-@dataclass(frozen=True)
-class ManoeuvreSequence:
-    """Manoeuvres one after another; each begins at the final angle of the one before."""
+Manoeuvre: TypeAlias = Corners | Sweep
 
-    parts: tuple[Manoeuvre, ...]
 
-    @classmethod
-    def of(cls, *parts: Manoeuvre) -> ManoeuvreSequence:
-        """Join `parts`."""
-        return cls(parts)
-
-    @property
-    def starts_s(self) -> tuple[float, ...]:
-        """When each part begins."""
-        lengths = [part.duration_s for part in self.parts]
-        return (0.0, *itertools.accumulate(lengths))[: len(lengths)]
-
-    @property
-    def duration_s(self) -> float:
-        """Sum of the parts."""
-        return sum(part.duration_s for part in self.parts)
-
-    @property
-    def net_deg(self) -> float:
-        """Sum of the parts."""
-        return sum(part.net_deg for part in self.parts)
-
-    @property
-    def reach_deg(self) -> tuple[float, float]:
-        """Extremes over all parts."""
-        level, low, high = 0.0, 0.0, 0.0
-        for part in self.parts:
-            below, above = part.reach_deg
-            low, high = min(low, level + below), max(high, level + above)
-            level += part.net_deg
-        return low, high
-
-    @property
-    def switched(self) -> tuple[Switched, ...]:
-        """Switches that any part inverts."""
-        return tuple(
-            flip.later(start)
-            for start, part in zip(self.starts_s, self.parts, strict=True)
-            for flip in part.switched
-        )
-
-    def swing_deg(self, time_s: FloatArray) -> FloatArray:
-        """Sum of the parts: each is 0 before its start and constant after its end."""
-        total = np.zeros_like(time_s, dtype=np.float64)
-        for start, part in zip(self.starts_s, self.parts, strict=True):
-            total += part.swing_deg(time_s - start)
-        return total
+def sequence(*parts: Corners) -> Corners:
+    """Join `parts`: each begins at the final angle of the one before."""
+    points, switched, start_s, angle = [(0.0, 0.0)], list[Switched](), 0.0, 0.0
+    for part in parts:
+        points += [(start_s + time_s, angle + by_deg) for time_s, by_deg in part.points[1:]]
+        switched += [flip.later(start_s) for flip in part.switched]
+        start_s, angle = points[-1]
+    return Corners(tuple(points), tuple(switched))
 
 
 # Fastest rate of a hand: the whole travel in half a second; and rates of manoeuvres.

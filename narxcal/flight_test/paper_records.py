@@ -286,19 +286,19 @@ class DataSet:
 
 
 def fast_push_sets(seed: int, rate_hz: float = 32.0) -> tuple[DataSet, ...]:
-    """FlownRecord the ten fast-acceleration data sets of the paper's section 3.1: 152 pushes."""
+    """Record the ten fast-acceleration data sets of the paper's section 3.1: 152 pushes."""
     return _sets(PAPER_RECORDS, seed, rate_hz)
 
 
 def throttle_rate_sets(seed: int, rate_hz: float = 32.0) -> tuple[DataSet, ...]:
-    """FlownRecord the same flights with pushes and pulls from 3 deg/s to slam."""
+    """Record the same flights with pushes and pulls from 3 deg/s to slam."""
     rates = (3.0, 120.0)
     varied = [replace(one, push_deg_s=rates, pull_deg_s=rates) for one in PAPER_RECORDS]
     return _sets(varied, seed, rate_hz)
 
 
 def take_off_approach_sets(seed: int, rate_hz: float = 32.0) -> tuple[DataSet, ...]:
-    """FlownRecord take-offs, approaches, go-arounds and landings: five flights of four circuits.
+    """Record take-offs, approaches, go-arounds and landings: five flights of four circuits.
 
     Fields and days of the last two enclose those of the others.
     """

@@ -30,7 +30,6 @@ from narxcal.flight_test.manoeuvres import (
     SLAM_DEG_S,
     SLOW_DEG_S,
     Manoeuvre,
-    ManoeuvreSequence,
     Sweep,
     Switched,
     doublet,
@@ -39,6 +38,7 @@ from narxcal.flight_test.manoeuvres import (
     levels,
     reslam,
     reversals,
+    sequence,
     switch,
     three_two_one_one,
     travel,
@@ -144,17 +144,6 @@ _RATES_DEG_S = (5.0, 15.0, 40.0, SLAM_DEG_S)
 
 
 @dataclass(frozen=True)
-class TestPoint:
-    """A manoeuvre that begins and ends at one trim, and the effects that it separates."""
-
-    __test__ = False  # pytest must not collect it
-
-    name: str
-    manoeuvre: Manoeuvre
-    separates: tuple[str, ...]
-
-
-@dataclass(frozen=True)
 class TestLevels:
     """Lever angles of the set in deg, and its times.
 
@@ -183,56 +172,50 @@ class TestLevels:
             )
 
 
-def separating_set(at: TestLevels | None = None) -> tuple[TestPoint, ...]:
-    """List the test points about one trim."""
+def separating_set(at: TestLevels | None = None) -> dict[str, Manoeuvre]:
+    """Name the test points about one trim: manoeuvres that begin and end there."""
     at = at or TestLevels()
-    return (*_large(at), *_small(at), *_switches(at), *_broad_band(at))
+    return {**_large(at), **_small(at)}
 
 
-def _large(at: TestLevels) -> Iterator[TestPoint]:
+def _large(at: TestLevels) -> dict[str, Manoeuvre]:
     span, up = at.high - at.low, at.high - at.trim
-    slams = levels([(span, at.stay_s), (0.0, at.stay_s)] * 2, SLAM_DEG_S)
     to_low, back = travel(at.low - at.trim, 5.0), travel(at.trim - at.low, 5.0)
-    yield TestPoint(
-        "two slams",
-        ManoeuvreSequence.of(to_low, hold(at.stay_s), slams, back),
-        ("transport delay", "sensor lag", "time constant", "asymmetry", "rate limit"),
-    )
-    sizes = ladder([share * up for share in _SIZES], at.stay_s, SLAM_DEG_S)
-    yield TestPoint("three step sizes", sizes, ("rate limit", "asymmetry", "time constant"))
+    slams = levels([(span, at.stay_s), (0.0, at.stay_s)] * 2, SLAM_DEG_S)
     rates = [
         levels([(up, up / rate + at.stay_s), (0.0, up / rate + at.stay_s)], rate)
         for rate in _RATES_DEG_S
     ]
-    yield TestPoint(
-        "throttle rates", ManoeuvreSequence(tuple(rates)), ("rate limit", "throttle rate")
-    )
-    soak = levels([(at.high - at.low, at.hold_s)], SLAM_DEG_S)
-    yield TestPoint(
-        "long hold",
-        ManoeuvreSequence.of(to_low, hold(at.stay_s), soak, travel(at.trim - at.high, 5.0)),
-        ("heat soak", "deterioration", "sensor drift", "slow temperature lag"),
-    )
+    soak = levels([(span, at.hold_s)], SLAM_DEG_S)
+    return {
+        # Transport delay, sensor lag, time constant, asymmetry, rate limit.
+        "two slams": sequence(to_low, hold(at.stay_s), slams, back),
+        # Rate limit, asymmetry, time constant.
+        "three step sizes": ladder([share * up for share in _SIZES], at.stay_s, SLAM_DEG_S),
+        # Rate limit, throttle rate.
+        "throttle rates": sequence(*rates),
+        # Heat soak, deterioration, sensor drift, slow temperature lag.
+        "long hold": sequence(to_low, hold(at.stay_s), soak, travel(at.trim - at.high, 5.0)),
+    }
 
 
-def _small(at: TestLevels) -> Iterator[TestPoint]:
-    amplitude = min(_SMALL * TAKE_OFF_DEG, at.high - at.trim, at.trim - at.low)
-    for name, rate in (("slow reversals", 1.0), ("fast reversals", 10.0)):
-        yield TestPoint(name, reversals(amplitude, rate), ("backlash", "dead band", "stiction"))
-
-
-def _switches(at: TestLevels) -> Iterator[TestPoint]:
-    for name in ("ECS", "NAI", "WAI"):
-        point = switch(name, at.stay_s, after_s=at.stay_s)
-        yield TestPoint(f"{name} on and off", point, ("bleed", "deterioration", "hot day"))
-
-
-def _broad_band(at: TestLevels) -> Iterator[TestPoint]:
-    amplitude = min(5.0, at.high - at.trim, at.trim - at.low)
-    sweep = Sweep(amplitude, low_hz=0.02, high_hz=1.0, wanted_s=6.0 * at.stay_s)
-    yield TestPoint("frequency sweep", sweep, ("transport delay", "sensor lag", "spool coupling"))
-    multistep = three_two_one_one(amplitude, unit_s=at.stay_s / 6.0)
-    yield TestPoint("3-2-1-1", multistep, ("time constant", "spool coupling", "dead band"))
+def _small(at: TestLevels) -> dict[str, Manoeuvre]:
+    room = min(at.high - at.trim, at.trim - at.low)
+    triangle, wave = min(_SMALL * TAKE_OFF_DEG, room), min(5.0, room)
+    return {
+        # Backlash, dead band, stiction.
+        "slow reversals": reversals(triangle, 1.0),
+        "fast reversals": reversals(triangle, 10.0),
+        # Bleed, deterioration, hot day.
+        **{
+            f"{name} on and off": switch(name, at.stay_s, after_s=at.stay_s)
+            for name in ("ECS", "NAI", "WAI")
+        },
+        # Transport delay, sensor lag, spool coupling.
+        "frequency sweep": Sweep(wave, low_hz=0.02, high_hz=1.0, wanted_s=6.0 * at.stay_s),
+        # Time constant, spool coupling, dead band.
+        "3-2-1-1": three_two_one_one(wave, unit_s=at.stay_s / 6.0),
+    }
 
 
 Style = Literal["line", "enriched"]
@@ -351,7 +334,7 @@ def _set(programme: _Programme, leg: Leg, style: Style) -> None:
     if leg.name == "take_off" and style == "line":
         # Both engines are first stabilised at part power.
         stable = travel(0.5 * by, rate)
-        programme.add(ManoeuvreSequence.of(stable, hold(4.0), stable), 2.0)
+        programme.add(sequence(stable, hold(4.0), stable), 2.0)
     elif by != 0.0:
         programme.add(travel(by, rate), random.uniform(2.0, 6.0))
 
@@ -379,17 +362,16 @@ def _test(programme: _Programme, leg: Leg) -> None:
     """
     random, trim = programme.random, programme.angle_deg
     at = TestLevels(low=random.uniform(0.0, 6.0), trim=trim, high=random.uniform(76.0, 84.0))
-    points = list(separating_set(at))
-    needed = sum(point.manoeuvre.duration_s + 10.0 for point in points)
+    points = list(separating_set(at).values())
+    needed = sum(point.duration_s + 10.0 for point in points)
     if needed > leg.stop_s - programme.clock_s:
         at = TestLevels(at.low, at.trim, at.high, stay_s=8.0, hold_s=20.0)
-        quick = separating_set(at)
+        quick = list(separating_set(at).values())
         points = [quick[k] for k in random.permutation(len(quick))]
     for point in points:
-        if programme.fits(point.manoeuvre, leg, _SETTINGS[leg.name]):
+        if programme.fits(point, leg, _SETTINGS[leg.name]):
             # Both engines fly the whole set; bleed is often tested on one side.
-            one_side = bool(point.manoeuvre.switched)
-            programme.add(point.manoeuvre, random.uniform(3.0, 8.0), together=not one_side)
+            programme.add(point, random.uniform(3.0, 8.0), together=not point.switched)
 
 
 def _enrich(programme: _Programme, leg: Leg) -> None:

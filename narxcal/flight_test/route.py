@@ -63,53 +63,33 @@ def check_between(name: str, value: float, low: float, high: float, hint: str = 
         )
 
 
-# Minimum time of each leg in s; their sum is the shortest flight.
-LEAST_S = {
-    "taxi_out": 20.0,
-    "take_off": 22.0,
-    "initial_climb": 20.0,
-    "climb": 36.0,
-    "low_level": 40.0,
-    "climb_high": 40.0,
-    "cruise": 46.0,
-    "step_climb": 18.0,
-    "high_cruise": 50.0,
-    "descent": 44.0,
-    "low_descent": 20.0,
-    "approach": 24.0,
-    "go_around": 22.0,
-    "circuit": 16.0,
-    "final": 26.0,
-    "flare": 8.0,
-    "roll_out": 14.0,
-    "taxi_in": 14.0,
+# Minimum time of each leg in s, whose sum is the shortest flight, and airspeed at its end in kt.
+_LEGS = {
+    "taxi_out": (20.0, 12.0),
+    "take_off": (22.0, 140.0),
+    "initial_climb": (20.0, 210.0),
+    "climb": (36.0, 255.0),
+    "low_level": (40.0, 270.0),
+    "climb_high": (40.0, 295.0),
+    "cruise": (46.0, 295.0),
+    "step_climb": (18.0, 295.0),
+    "high_cruise": (50.0, 300.0),
+    "descent": (44.0, 285.0),
+    "low_descent": (20.0, 225.0),
+    "approach": (24.0, 145.0),
+    "go_around": (22.0, 190.0),
+    "circuit": (16.0, 180.0),
+    "final": (26.0, 138.0),
+    "flare": (8.0, 128.0),
+    "roll_out": (14.0, 15.0),
+    "taxi_in": (14.0, 8.0),
 }
+LEAST_S = {name: least_s for name, (least_s, _) in _LEGS.items()}
 SHORTEST_S = sum(LEAST_S.values())
 GROUND = ("taxi_out", "take_off", "roll_out", "taxi_in")
 # Corners are rounded over this time near the ground, and over the longer one elsewhere.
 _ROUND_S, _ROUND_HIGH_S = 10.0, 30.0
 _NEAR_GROUND = (*GROUND, "initial_climb", "approach", "go_around", "circuit", "final", "flare")
-# Airspeed at the end of each leg, kt.
-_CAS_KT = {
-    "taxi_out": 12.0,
-    "take_off": 140.0,
-    "initial_climb": 210.0,
-    "climb": 255.0,
-    "low_level": 270.0,
-    "climb_high": 295.0,
-    "cruise": 295.0,
-    "step_climb": 295.0,
-    "high_cruise": 300.0,
-    "descent": 285.0,
-    "low_descent": 225.0,
-    "approach": 145.0,
-    "go_around": 190.0,
-    "circuit": 180.0,
-    "final": 138.0,
-    "flare": 128.0,
-    "roll_out": 15.0,
-    "taxi_in": 8.0,
-}
 # Idle in cruise decelerates an aircraft by about 0.6 m/s2 (lift over drag 16): with 55 deg of lever
 # and a time constant of 30 s that is this much Mach per deg. The pilot trims it out in minutes.
 _MACH_PER_DEG, _INERTIA_S, _TRIMMED_S = 1.1e-3, 30.0, 300.0
@@ -153,7 +133,7 @@ def plan_legs(day: Day, aircraft: Aircraft, duration_s: float | None) -> list[Le
     lengths = natural if duration_s is None else _stretched(natural, duration_s)
     stops = list(accumulate(lengths.values()))
     rows = zip(LEAST_S, [0.0, *stops[:-1]], stops, strict=True)
-    return [Leg(name, start, stop, ends[name], _CAS_KT[name]) for name, start, stop in rows]
+    return [Leg(name, start, stop, ends[name], _LEGS[name][1]) for name, start, stop in rows]
 
 
 def _altitudes(day: Day) -> dict[str, float]:

@@ -206,31 +206,22 @@ TEST_INSTRUMENTATION: dict[str, ChannelSensor] = {
     "ALT_ft": ChannelSensor(noise_sigma=2.0, bias_sigma=10.0, resolution=1.0),
     "Mach": ChannelSensor(noise_sigma=2e-4, bias_sigma=5e-4, resolution=1e-4),
     "dT_C": ChannelSensor(noise_sigma=0.05, bias_sigma=0.2, resolution=0.05),
-    "N1_pct": ChannelSensor(
+    **dict.fromkeys(("N1_pct", "N2_pct"), ChannelSensor(
         tau_s=0.02, bias_sigma=0.03, noise_sigma=0.04, skew_sigma_s=_CLOCK_S, resolution=0.02
-    ),
-    "N2_pct": ChannelSensor(
-        tau_s=0.02, bias_sigma=0.03, noise_sigma=0.04, skew_sigma_s=_CLOCK_S, resolution=0.02
-    ),
+    )),
     "EGT_C": ChannelSensor(
-        tau_s=0.02,
-        bias_sigma=1.0,
-        noise_sigma=0.7,
-        coloured_sigma=0.3,
-        skew_sigma_s=_CLOCK_S,
+        tau_s=0.02, bias_sigma=1.0, noise_sigma=0.7, coloured_sigma=0.3, skew_sigma_s=_CLOCK_S,
         resolution=0.5,
     ),
     "FF_kgph": ChannelSensor(
-        tau_s=0.1,
-        gain_sigma=0.003,
-        noise_share=0.004,
-        skew_sigma_s=_CLOCK_S,
-        resolution=0.5,
+        tau_s=0.1, gain_sigma=0.003, noise_share=0.004, skew_sigma_s=_CLOCK_S, resolution=0.5
     ),
     "FN_kN": ChannelSensor(gain_sigma=0.003, noise_share=0.003),
-    "FPR": ChannelSensor(tau_s=0.04, noise_share=0.001, gain_sigma=0.001, resolution=0.001),
-    "EPR": ChannelSensor(tau_s=0.04, noise_share=0.001, gain_sigma=0.001, resolution=0.001),
-}
+    **dict.fromkeys(
+        ("FPR", "EPR"),
+        ChannelSensor(tau_s=0.04, noise_share=0.001, gain_sigma=0.001, resolution=0.001),
+    ),
+}  # fmt: skip
 
 # An airline's recorder: engine channels once per second, each in its own slot of the frame (14
 # CFR 125 App. E, which allows steps of 2 % of the full range; those below are finer, as in
@@ -250,19 +241,14 @@ FDR: dict[str, ChannelSensor] = {
         tau_s=0.02, rate_hz=1.0, slot_s=0.75, bias_sigma=2.0, noise_sigma=1.0, resolution=1.0
     ),
     "FF_kgph": ChannelSensor(
-        tau_s=0.3,
-        rate_hz=1.0,
-        slot_s=0.875,
-        gain_sigma=0.005,
-        noise_share=0.005,
-        resolution=2.0,
+        tau_s=0.3, rate_hz=1.0, slot_s=0.875, gain_sigma=0.005, noise_share=0.005, resolution=2.0
     ),
-    "FPR": ChannelSensor(tau_s=0.04, rate_hz=1.0, slot_s=0.375, resolution=0.005),
-    "EPR": ChannelSensor(tau_s=0.04, rate_hz=1.0, slot_s=0.375, resolution=0.005),
-    **{
-        name: ChannelSensor(rate_hz=1.0, slot_s=0.625)
-        for name in ("WOW", "Approach", "ECS", "NAI", "WAI")
-    },
+    **dict.fromkeys(
+        ("FPR", "EPR"), ChannelSensor(tau_s=0.04, rate_hz=1.0, slot_s=0.375, resolution=0.005)
+    ),
+    **dict.fromkeys(
+        ("WOW", "Approach", "ECS", "NAI", "WAI"), ChannelSensor(rate_hz=1.0, slot_s=0.625)
+    ),
 }
 
 PRESETS: dict[str, dict[str, ChannelSensor]] = {
@@ -290,7 +276,6 @@ PARAMETERS: dict[str, Sizes] = {
     },
 }
 WINDOWED = ("sensor_bias", "sensor_drift")
-SENSOR_EFFECTS = tuple(PARAMETERS)
 
 
 def channels_of(effect: str) -> tuple[str, ...]:

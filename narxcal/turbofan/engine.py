@@ -18,13 +18,11 @@ from narxcal.channels import channel
 from narxcal.steady.model import BoxModel, Envelope, checked_inputs
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ModelError
-from narxcal.turbofan.control_design import Linear, control, linearised
 from narxcal.turbofan.cycle import POSITIONS, Health, Stations
-from narxcal.turbofan.design import Closed, Preset, close, preset
+from narxcal.turbofan.design import Closed, Linear, Preset, close, control, linearised, preset
 from narxcal.turbofan.fadec import FuelValveParameters, Sensed, steady_control, steady_valve
 from narxcal.turbofan.gas import fan_face
-from narxcal.turbofan.lever import LeverParameters, resolver
-from narxcal.turbofan.ratings import n1_command
+from narxcal.turbofan.lever import LeverParameters, n1_command, resolver
 from narxcal.turbofan.solve import (
     BLEED,
     CONDITIONS,
@@ -244,7 +242,7 @@ class VirtualEngine(BoxModel):
             measured=np.array([command, N2, s.P3, s.T45]),
             positions=x[:POSITIONS].copy(),
             inverse=np.zeros((POSITIONS, POSITIONS)),
-            fadec=steady_control(self._fadec, sensed, fuel),
+            fadec=steady_control(sensed, fuel),
             valve=steady_valve(self.settings.valve, fuel, dt_s / steps_per_sample(dt_s)),
         )
 

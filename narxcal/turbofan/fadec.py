@@ -30,18 +30,17 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from narxcal.atmosphere import P0_PA, T0_K
 from narxcal.support.arrays import FloatArray
 from narxcal.support.compiled import compiled, lagged, ramp_lagged, slewed, table_value
-from narxcal.support.errors import ConfigError, ModelError
 
 # The active limiter, as `control_step` returns it.
 GOVERNOR, ACCELERATION, DECELERATION, N1_TOPPING, N2_TOPPING, T45_TOPPING, PS3_TOPPING, MINIMUM = (
     range(8)
 )
 _TOPPINGS = 3  # N2, T45, Ps3, in this order
+_DAMPING = 0.9  # of the governor
 # State of the control: the governor's reset, those of the toppings, and N1 a step ago.
 _RESET, _TOPPING_RESETS, _PAST_N1, SIZE = 0, 1, 4, 5
 
@@ -52,8 +51,8 @@ class FadecParameters(NamedTuple):
     `governor_gain` in kg/s per %, `governor_reset_s` and `governor_lead_s` over sensed corrected
     `governor_N1c_pct`: see `governor`. `gain_exponent` raises the gain by that power of
     `sqrt(theta) / delta`: 0 keeps the response in corrected time, 1 keeps it in real time.
-    `accel_ratio`, `decel_ratio` in kg/(s Pa) over `schedule_N2c_pct`: see `schedules`, where the
-    effects `accel_limit` and `accel_decel_asymmetry` are margins.
+    `accel_ratio`, `decel_ratio`: limits of `Wf / (Ps3 sqrt(theta2))` in kg/(s Pa) over
+    `schedule_N2c_pct`; the effect `accel_limit` scales the margin of the former.
     `topping_limit`, `topping_gain`, `topping_reset_s` (3,): physical limits of N2 (%), T45 (K) and
     Ps3 (Pa), infinite for none, with gains in kg/s per corrected unit. A reset time equal to the
     slow spool's time constant (for T45, to its probe's) keeps a limit without overshoot.
@@ -89,73 +88,27 @@ class Sensed(NamedTuple):
     T2_K: float
 
 
-def schedules(
-    N2c_pct: ArrayLike, ratio: ArrayLike, *, accel_margin: ArrayLike, decel_margin: ArrayLike
-) -> tuple[FloatArray, FloatArray]:
-    """Acceleration and deceleration limits about the steady line `ratio` over `N2c_pct`.
-
-    `ratio = Wf / (Ps3 sqrt(theta2))` in kg/(s Pa). The limits are `(1 + accel_margin) ratio` and
-    `(1 - decel_margin) ratio`; margins are fractions of the steady fuel that may be added or taken
-    away, each one number or a value per speed. The effect `accel_limit` scales `accel_margin`,
-    `accel_decel_asymmetry` sets them apart.
-
-    Raises `ModelError` if the line is no table, or a margin leaves no room to move.
-    """
-    line = _table("steady line", N2c_pct, ratio)
-    up, down = np.asarray(accel_margin, np.float64), np.asarray(decel_margin, np.float64)
-    if not (np.all(up > 0.0) and np.all((down > 0.0) & (down < 1.0))):
-        raise ModelError(
-            "schedules: expected an acceleration margin above 0 and a deceleration margin between "
-            f"0 and 1, found {up} and {down}"
-        )
-    return (1.0 + up) * line, (1.0 - down) * line
-
-
 def governor(
-    N1c_pct: ArrayLike,
-    fuel_kgps: ArrayLike,
-    lags_s: tuple[ArrayLike, ArrayLike, ArrayLike],
-    *,
-    damping: float = 0.9,
+    N1c_pct: FloatArray, fuel_kgps: FloatArray, lags_s: tuple[FloatArray, FloatArray, float]
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Gain (kg/s per %), reset time and lead (s) that govern N1 with the given damping ratio.
+    """Gain (kg/s per %), reset time and lead (s) that govern N1 with a damping ratio of 0.9.
 
     `fuel_kgps` is the steady line of corrected fuel over `N1c_pct`. `lags_s` are the engine's slow
-    and fast time constants and the sum of all other lags and delays in the loop, at sea level
-    standard, each one number or a value per speed. Reset and lead cancel the first two; of the
-    loop `omega / (s (1 + other s))` that is left, `omega = 1 / (4 damping^2 other)` (any text on
-    control). A fast constant of 0 means no lead. A reset time that is too long only slows the
-    approach; one 1.2 times too short overshoots by 3 % of the change.
-
-    Raises `ModelError` if the line is no table or does not rise, or a lag or the damping is no
-    positive number.
+    and fast time constants (n,) and the sum of all other lags and delays in the loop, at sea level
+    standard. Reset and lead cancel the first two; of the loop `omega / (s (1 + other s))` that is
+    left, `omega = 1 / (4 damping^2 other)` (any text on control). A fast constant of 0 means no
+    lead. A reset time that is too long only slows the approach; one 1.2 times too short overshoots
+    by 3 % of the change.
     """
-    line = _table("steady line", N1c_pct, fuel_kgps)
-    slow, fast, other = (np.broadcast_to(np.asarray(t, np.float64), line.shape) for t in lags_s)
-    if not (np.all(slow > 0.0) and np.all(fast >= 0.0) and np.all(other > 0.0) and damping > 0.0):
-        raise ModelError(
-            "governor: expected the slow lag, the other lags and the damping above zero, and the "
-            f"fast lag not below, found {lags_s} s and {damping}"
-        )
-    slope = np.gradient(line, np.asarray(N1c_pct, np.float64))
-    if not np.all(slope > 0.0):
-        worst = np.asarray(N1c_pct)[int(np.argmin(slope))]
-        raise ModelError(
-            f"governor: expected fuel to rise with N1, found it falling at {worst:g} % corrected N1"
-        )
-    return slope * slow / (4.0 * damping**2 * other), slow.copy(), fast.copy()
+    slow, fast, other = lags_s
+    return np.gradient(fuel_kgps, N1c_pct) * slow / (4.0 * _DAMPING**2 * other), slow, fast
 
 
-def steady_control(parameters: FadecParameters, sensed: Sensed, fuel_kgps: float) -> FloatArray:
+def steady_control(sensed: Sensed, fuel_kgps: float) -> FloatArray:
     """State of a control that has demanded `fuel_kgps` for a long time.
 
     If `sensed` shows no error (or a topping limit just met) `control_step` keeps that demand.
-
-    Raises `ModelError` if a table of `parameters` is not one, or the fuel is not above zero.
     """
-    _check(parameters)
-    if not (fuel_kgps > 0.0 and math.isfinite(fuel_kgps)):
-        raise ModelError(f"FADEC: expected a fuel flow above zero to start from, found {fuel_kgps}")
     delta, root = sensed.P2_Pa / P0_PA, math.sqrt(sensed.T2_K / T0_K)
     state = np.full(SIZE, fuel_kgps / (delta * root))
     state[_PAST_N1] = sensed.N1_pct
@@ -226,43 +179,6 @@ def _over_floors(
     return (least, MINIMUM) if least > fuel else (fuel, active)
 
 
-def _check(parameters: FadecParameters) -> None:
-    """Refuse tables that the compiled step, which checks nothing, would misread."""
-    speeds = parameters.governor_N1c_pct
-    gain = _table("governor_gain", speeds, parameters.governor_gain)
-    for name in ("governor_reset_s", "governor_lead_s"):
-        _table(name, speeds, getattr(parameters, name))
-    speeds = parameters.schedule_N2c_pct
-    accel = _table("accel_ratio", speeds, parameters.accel_ratio)
-    decel = _table("decel_ratio", speeds, parameters.decel_ratio)
-    if not (np.all(gain > 0.0) and np.all(accel > decel)):
-        raise ModelError(
-            "FADEC: expected governor gains above zero and the acceleration schedule above the "
-            "deceleration schedule everywhere"
-        )
-    for name in ("topping_limit", "topping_gain", "topping_reset_s"):
-        values = getattr(parameters, name)
-        if values.shape != (_TOPPINGS,) or not np.all(values > 0.0):
-            raise ModelError(
-                f"FADEC: expected '{name}' to be three numbers above zero (N2, T45, Ps3), "
-                f"found {values}"
-            )
-
-
-def _table(name: str, knots: ArrayLike, values: ArrayLike) -> FloatArray:
-    """`values`, if they are a finite table over ascending `knots`."""
-    at, line = np.asarray(knots, np.float64), np.asarray(values, np.float64)
-    if at.ndim != 1 or at.shape != line.shape or len(at) < 2 or not np.all(np.diff(at) > 0.0):
-        raise ModelError(
-            f"FADEC: '{name}' has to be a table over at least 2 ascending speeds, found "
-            f"{line.shape} values over {at.shape} speeds",
-            hint="Sort the steady line by speed",
-        )
-    if not (np.all(np.isfinite(at)) and np.all(np.isfinite(line))):
-        raise ModelError(f"FADEC: '{name}' has to be finite")
-    return line
-
-
 # State of the fuel system; the samples in the line follow from LINE on, as a ring buffer.
 SERVO, METERED, ARRIVING, BURNED, NEWEST, LINE = 0, 1, 2, 3, 4, 5
 
@@ -282,21 +198,7 @@ class FuelValveParameters(NamedTuple):
 
 
 def steady_valve(parameters: FuelValveParameters, fuel_kgps: float, dt_s: float) -> FloatArray:
-    """State of a fuel system at a constant flow of `fuel_kgps`, for steps of `dt_s`.
-
-    Raises `ConfigError` if a time is negative or not finite, or the slew not above zero.
-    """
-    for name in ("tau_s", "delay_s", "volume_tau_s", "servo_tau_s"):
-        value = getattr(parameters, name)
-        if not (value >= 0.0 and math.isfinite(value)):
-            raise ConfigError(f"fuel valve: '{name}' has to be zero or more, found {value}")
-    if not parameters.slew_kgps2 > 0.0:
-        raise ConfigError(
-            f"fuel valve: 'slew_kgps2' has to be above zero, found {parameters.slew_kgps2}",
-            hint="Use infinity for no limit",
-        )
-    if not (dt_s > 0.0 and math.isfinite(dt_s)):
-        raise ConfigError(f"fuel valve: the step has to be above zero, found {dt_s} s")
+    """State of a fuel system at a constant flow of `fuel_kgps`, for steps of `dt_s`."""
     state = np.full(LINE + math.floor(parameters.delay_s / dt_s) + 2, float(fuel_kgps))
     state[NEWEST] = 0.0
     return state

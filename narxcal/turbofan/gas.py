@@ -22,6 +22,17 @@ _B = (-0.718874, 8.747481, -15.863157, 17.254096, -10.233795, 3.081778, -0.36111
 _A_ENTHALPY, _B_ENTHALPY = 0.422178, 0.0555930
 _A_ENTROPY, _B_ENTROPY = 0.001053, -0.0016079
 _R_AIR, _R_FUEL = 287.05, -0.0099  # J/(kg K), and its change with `far`
+# The same integrated over t, and over ln t but for its first term.
+_A_RISE, _B_RISE = (tuple(c / (k + 1) for k, c in enumerate(each)) for each in (_A, _B))
+_A_LOG, _B_LOG = (tuple(c / k for k, c in enumerate(each) if k) for each in (_A, _B))
+
+
+@compiled
+def _polynomial(coefficients: tuple[float, ...], t: float) -> float:
+    value = 0.0
+    for k in range(len(coefficients) - 1, -1, -1):
+        value = value * t + coefficients[k]
+    return value
 
 
 @compiled
@@ -34,44 +45,25 @@ def gas_constant(far: float) -> float:
 def specific_heat(temperature_K: float, far: float) -> float:
     """Specific heat at constant pressure, J/(kg K) (F3.23)."""
     t = 1e-3 * temperature_K
-    air = 0.0
-    for k in range(len(_A) - 1, -1, -1):
-        air = air * t + _A[k]
-    fuel = 0.0
-    for k in range(len(_B) - 1, -1, -1):
-        fuel = fuel * t + _B[k]
-    return 1e3 * (air + far / (1.0 + far) * fuel)
+    return 1e3 * (_polynomial(_A, t) + far / (1.0 + far) * _polynomial(_B, t))
 
 
 @compiled
 def enthalpy(temperature_K: float, far: float) -> float:
     """Enthalpy in J/kg, the integral of the specific heat (F3.26)."""
     t = 1e-3 * temperature_K
-    air = 0.0
-    for k in range(len(_A) - 1, -1, -1):
-        air = (air + _A[k] / (k + 1)) * t
-    fuel = 0.0
-    for k in range(len(_B) - 1, -1, -1):
-        fuel = (fuel + _B[k] / (k + 1)) * t
-    share = far / (1.0 + far)
-    return 1e6 * (air + _A_ENTHALPY + share * (fuel + _B_ENTHALPY))
+    air, fuel = _polynomial(_A_RISE, t) * t, _polynomial(_B_RISE, t) * t
+    return 1e6 * (air + _A_ENTHALPY + far / (1.0 + far) * (fuel + _B_ENTHALPY))
 
 
 @compiled
 def entropy(temperature_K: float, far: float) -> float:
     """Entropy function, the integral of `cp / T`, J/(kg K) (F3.27)."""
     t = 1e-3 * temperature_K
-    air = 0.0
-    for k in range(len(_A) - 1, 0, -1):
-        air = (air + _A[k] / k) * t
-    fuel = 0.0
-    for k in range(len(_B) - 1, 0, -1):
-        fuel = (fuel + _B[k] / k) * t
-    share = far / (1.0 + far)
     logarithm = math.log(t)
-    air += _A[0] * logarithm + _A_ENTROPY
-    fuel += _B[0] * logarithm + _B_ENTROPY
-    return 1e3 * (air + share * fuel)
+    air = _polynomial(_A_LOG, t) * t + (_A[0] * logarithm + _A_ENTROPY)
+    fuel = _polynomial(_B_LOG, t) * t + (_B[0] * logarithm + _B_ENTROPY)
+    return 1e3 * (air + far / (1.0 + far) * fuel)
 
 
 @compiled

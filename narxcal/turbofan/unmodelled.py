@@ -9,16 +9,17 @@ diagnosis fly this engine, so its effects share no equation with `narxcal.effect
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from functools import partial
+from operator import add, mul
+from typing import Any, Final, NamedTuple
 
 from narxcal.effects import LIBRARY
 from narxcal.support.errors import ConfigError, did_you_mean
 from narxcal.turbofan.cycle import Health
 from narxcal.turbofan.fadec import FuelValveParameters
-from narxcal.turbofan.lever import LeverParameters
-from narxcal.turbofan.ratings import Ratings
+from narxcal.turbofan.lever import LeverParameters, Ratings
 from narxcal.turbofan.transient import Body
 
 
@@ -141,103 +142,53 @@ class EngineSettings:
     switches: tuple[Unmodelled, ...] = ()
 
 
+def _given(_: float, size: float) -> float:
+    return size
+
+
+def _lost(nominal: float, percent: float) -> float:
+    return nominal * (1.0 - 0.01 * percent)
+
+
+# Effect -> (place in the settings, its new value by the one before and the parameter, parameter).
+_CHANGES: Final[Mapping[str, Sequence[tuple[str, Callable[[float, float], float], str]]]] = {
+    "throttle_backlash": [("lever.backlash_deg", _given, "width_deg")],
+    "throttle_delay": [("lever.delay_s", _given, "delay_s")],
+    "throttle_rate_limit": [("lever.rate_limit_degps", _given, "rate_degps")],
+    "throttle_bias": [("lever.bias_deg", _given, "bias_deg")],
+    "actuator_lag": [("valve.servo_tau_s", add, "tau_s"), ("valve.slew_kgps2", mul, "slew")],
+    "spool_lag": [("body.inertia1_J", mul, "factor"), ("body.inertia2_J", mul, "factor")],
+    "spool_coupling": [("body.inertia1_J", mul, "factor")],  # the low-pressure spool alone
+    "accel_decel_asymmetry": [("body.asymmetry", mul, "ratio")],
+    "accel_limit": [("accel_margin", mul, "factor")],
+    "altitude_lag": [("body.thin_air", add, "exponent")],
+    "heat_soak": [("body.metal_WpK", mul, "factor"), ("body.clearance_pK", mul, "factor")],
+    "bleed_extraction": [("bleed", add, "share")],
+    "deterioration": [
+        (f"health.{name}", _lost, f"{name}_pct")
+        for name in ("hpc_efficiency", "hpt_efficiency", "hpc_flow")
+    ],
+    "temperature_effect": [("ratings.temperature_bias_pct_per_C", add, "N1_pct_per_C")],
+    "idle_schedule": [("ratings.approach_idle_pct", add, "shift_pct")],
+}
+
+
 def with_effects(settings: EngineSettings, effects: Sequence[Unmodelled]) -> EngineSettings:
     """Apply `effects` to the settings of an engine."""
     for effect in effects:
-        settings = _APPLY[effect.id](settings, effect)
-    return settings
+        for place, change, parameter in _CHANGES.get(effect.id, ()):
+            settings = _changed(settings, place, change, effect.value(parameter))
+    switches = tuple(effect for effect in effects if effect.id == "unlogged_switch")
+    return replace(settings, switches=switches)
 
 
-def _lever(settings: EngineSettings, effect: Unmodelled) -> EngineSettings:
-    field_, parameter = {
-        "throttle_backlash": ("backlash_deg", "width_deg"),
-        "throttle_delay": ("delay_s", "delay_s"),
-        "throttle_rate_limit": ("rate_limit_degps", "rate_degps"),
-        "throttle_bias": ("bias_deg", "bias_deg"),
-    }[effect.id]
-    return replace(settings, lever=settings.lever._replace(**{field_: effect.value(parameter)}))
-
-
-def _actuator(settings: EngineSettings, effect: Unmodelled) -> EngineSettings:
-    valve = settings.valve._replace(
-        servo_tau_s=settings.valve.servo_tau_s + effect.value("tau_s"),
-        slew_kgps2=settings.valve.slew_kgps2 * effect.value("slew"),
-    )
-    return replace(settings, valve=valve)
-
-
-def _inertia(settings: EngineSettings, effect: Unmodelled) -> EngineSettings:
-    """Scale the inertia of both spools, or of the low-pressure spool alone (spool_coupling)."""
-    body, factor = settings.body, effect.value("factor")
-    second = body.inertia2_J * (factor if effect.id == "spool_lag" else 1.0)
-    body = body._replace(inertia1_J=body.inertia1_J * factor, inertia2_J=second)
-    return replace(settings, body=body)
-
-
-def _asymmetry(settings: EngineSettings, effect: Unmodelled) -> EngineSettings:
-    ratio = settings.body.asymmetry * effect.value("ratio")
-    return replace(settings, body=settings.body._replace(asymmetry=ratio))
-
-
-def _accel_limit(settings: EngineSettings, effect: Unmodelled) -> EngineSettings:
-    return replace(settings, accel_margin=settings.accel_margin * effect.value("factor"))
-
-
-def _thin_air(settings: EngineSettings, effect: Unmodelled) -> EngineSettings:
-    exponent = settings.body.thin_air + effect.value("exponent")
-    return replace(settings, body=settings.body._replace(thin_air=exponent))
-
-
-def _heat_soak(settings: EngineSettings, effect: Unmodelled) -> EngineSettings:
-    factor, body = effect.value("factor"), settings.body
-    body = body._replace(metal_WpK=body.metal_WpK * factor, clearance_pK=body.clearance_pK * factor)
-    return replace(settings, body=body)
-
-
-def _bleed(settings: EngineSettings, effect: Unmodelled) -> EngineSettings:
-    return replace(settings, bleed=settings.bleed + effect.value("share"))
-
-
-def _switch(settings: EngineSettings, effect: Unmodelled) -> EngineSettings:
-    return replace(settings, switches=(*settings.switches, effect))
-
-
-def _deterioration(settings: EngineSettings, effect: Unmodelled) -> EngineSettings:
-    """A loss is positive, in percent of the component's efficiency or flow."""
-    h = settings.health
-    h = h._replace(
-        hpc_efficiency=h.hpc_efficiency * (1.0 - 0.01 * effect.value("hpc_efficiency_pct")),
-        hpt_efficiency=h.hpt_efficiency * (1.0 - 0.01 * effect.value("hpt_efficiency_pct")),
-        hpc_flow=h.hpc_flow * (1.0 - 0.01 * effect.value("hpc_flow_pct")),
-    )
-    return replace(settings, health=h)
-
-
-def _temperature(settings: EngineSettings, effect: Unmodelled) -> EngineSettings:
-    bias = settings.ratings.temperature_bias_pct_per_C + effect.value("N1_pct_per_C")
-    return replace(settings, ratings=replace(settings.ratings, temperature_bias_pct_per_C=bias))
-
-
-def _idle(settings: EngineSettings, effect: Unmodelled) -> EngineSettings:
-    idle = settings.ratings.approach_idle_pct + effect.value("shift_pct")
-    return replace(settings, ratings=replace(settings.ratings, approach_idle_pct=idle))
-
-
-_APPLY = {
-    "throttle_backlash": _lever,
-    "throttle_delay": _lever,
-    "throttle_rate_limit": _lever,
-    "throttle_bias": _lever,
-    "actuator_lag": _actuator,
-    "spool_lag": _inertia,
-    "spool_coupling": _inertia,
-    "accel_decel_asymmetry": _asymmetry,
-    "accel_limit": _accel_limit,
-    "altitude_lag": _thin_air,
-    "heat_soak": _heat_soak,
-    "bleed_extraction": _bleed,
-    "unlogged_switch": _switch,
-    "deterioration": _deterioration,
-    "temperature_effect": _temperature,
-    "idle_schedule": _idle,
-}
+def _changed(
+    settings: EngineSettings, place: str, change: Callable[[float, float], float], size: float
+) -> EngineSettings:
+    part, _, name = place.rpartition(".")
+    own: Any = getattr(settings, part) if part else settings
+    new = {name: change(getattr(own, name), size)}
+    replaced: Callable[..., Any] = getattr(own, "_replace", partial(replace, own))
+    changed: Any = replaced(**new)
+    found: EngineSettings = replace(settings, **{part: changed}) if part else changed
+    return found

@@ -64,7 +64,7 @@ def test_without_the_runs_logs_the_proof_is_over_drawn_inputs_and_says_so(
     def gone(*_):
         raise DataError("the folder does not exist", file="flights")
 
-    monkeypatch.setattr("narxcal.cli.export_run.evaluation_logs", gone)
+    monkeypatch.setattr("narxcal.cli.export.evaluation_logs", gone)
     out = tmp_path / "c"
     done = narxcal("export", run, "--to", "c", "--out", out, "--quiet")
     assert (done.code, done.err) == (

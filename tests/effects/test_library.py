@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from narxcal.effects import LIBRARY, candidates, effect
-from narxcal.flight_test.sensors import SENSOR_EFFECTS
+from narxcal.flight_test import sensors
 from narxcal.support.errors import ConfigError
 from narxcal.turbofan.unmodelled import PARAMETERS
 
@@ -16,7 +16,7 @@ def names(signals):
 
 
 def test_it_has_every_effect_that_a_virtual_flight_can_have():
-    assert set(LIBRARY) >= {*PARAMETERS, *SENSOR_EFFECTS}
+    assert set(LIBRARY) >= {*PARAMETERS, *sensors.PARAMETERS}
 
 
 def test_each_says_what_it_is_and_what_would_tell_it_apart():

@@ -14,8 +14,7 @@ import pytest
 from narxcal.atmosphere import isa
 from narxcal.calibration.identified import IdentifiedCalibration, NoDynamics
 from narxcal.export.compiler import Compiled, compiler
-from narxcal.export.dynamic import Exportable
-from narxcal.export.program import Program
+from narxcal.export.program import Exportable, Program
 from narxcal.static_models import polynomial
 from narxcal.static_models.model import StaticLaws
 from narxcal.steady.model import Envelope

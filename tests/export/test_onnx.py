@@ -5,9 +5,8 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from narxcal.export.onnx_graph import Graph, Number, traced
+from narxcal.export.onnx_graph import Graph, Number, run, traced
 from narxcal.export.onnx_model import write_onnx
-from narxcal.export.onnx_run import run
 from narxcal.export.program import Program
 from narxcal.export.proof import drawn, held
 from narxcal.support.compiled import compiled

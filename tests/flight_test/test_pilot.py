@@ -117,14 +117,14 @@ def test_manoeuvres_that_overlap_or_pass_a_stop_are_refused(placed, message):
 
 # Test points
 
-POINTS = {point.name: point for point in separating_set()}
+POINTS = separating_set()
 
 
 def angle(name, at=None):
     at = at or TestLevels()
-    point = {point.name: point for point in separating_set(at)}[name]
-    time_s = np.arange(0.0, point.manoeuvre.duration_s + 1.0, DT)
-    return compose([Placed(0.0, point.manoeuvre)], time_s, at.trim)
+    point = separating_set(at)[name]
+    time_s = np.arange(0.0, point.duration_s + 1.0, DT)
+    return compose([Placed(0.0, point)], time_s, at.trim)
 
 
 def rests(values, least_s):
@@ -169,8 +169,8 @@ def test_the_lever_rests_for_minutes_after_a_large_step(hold_s):
 def test_bleed_and_anti_ice_are_switched_at_constant_lever():
     for name in ("ECS", "NAI", "WAI"):
         point = POINTS[f"{name} on and off"]
-        assert [flip.channel for flip in point.manoeuvre.switched] == [name]
-        assert point.manoeuvre.reach_deg == (0.0, 0.0)
+        assert [flip.channel for flip in point.switched] == [name]
+        assert point.reach_deg == (0.0, 0.0)
 
 
 def test_throttle_rates_go_from_slow_to_slam():
@@ -183,14 +183,13 @@ def test_throttle_rates_go_from_slow_to_slam():
 @settings(max_examples=40, deadline=None)
 def test_every_point_comes_back_to_its_trim_within_the_stops(low, trim, high, stay_s):
     levels = TestLevels(low, trim, high, stay_s=stay_s, hold_s=200.0)
-    for point in separating_set(levels):
-        below, above = point.manoeuvre.reach_deg
+    for name, point in separating_set(levels).items():
+        below, above = point.reach_deg
         assert low - 1e-9 <= trim + below
         assert trim + above <= high + 1e-9
-        assert point.manoeuvre.net_deg == pytest.approx(0.0, abs=1e-9)
-        moved = np.diff(angle(point.name, levels))
+        assert point.net_deg == pytest.approx(0.0, abs=1e-9)
+        moved = np.diff(angle(name, levels))
         assert np.abs(moved).max() <= HAND_DEG_S * DT
-        assert point.separates
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from narxcal.turbofan.cycle import Health, Running, handling_bleed, reynolds_factor
 from narxcal.turbofan.gas import LOWER_HEATING_VALUE, REFERENCE_K, Air, enthalpy, intake
-from narxcal.turbofan.ratings import n1_command
+from narxcal.turbofan.lever import n1_command
 from narxcal.turbofan.solve import BLEED, MACH, N1, OFFTAKE_W, STATIC_K, STATIC_PA, solve
 
 inputs = st.tuples(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from narxcal.turbofan.engine import HIGH, LOW
-from narxcal.turbofan.ratings import n1_command
+from narxcal.turbofan.lever import n1_command
 from narxcal.turbofan.solve import N1, UNKNOWN, Line, running_line, steady_points
 
 SURGE = 0.5 * np.pi

@@ -18,7 +18,8 @@ from pydantic import Field
 from eval.diagnosis.blind.lumped import KINDS, applies
 from eval.diagnosis.blind.outside import MIMICS, OTHERS, Strange
 from narxcal.effects.library import LIBRARY
-from narxcal.flight_test.sensors import SENSOR_EFFECTS, SensorFault
+from narxcal.flight_test.sensors import PARAMETERS as ON_SENSORS
+from narxcal.flight_test.sensors import SensorFault
 from narxcal.support.settings import Section
 from narxcal.turbofan import Unmodelled
 
@@ -107,7 +108,7 @@ class Dose(NamedTuple):
     @property
     def on_sensor(self) -> bool:
         """Whether it acts on a recording; else it acts on an engine."""
-        return self.scale.id in SENSOR_EFFECTS
+        return self.scale.id in ON_SENSORS
 
     def unmodelled(self, windows: Windows) -> Unmodelled:
         """Give it as an engine's effect; `windows` are those of a hidden switch."""

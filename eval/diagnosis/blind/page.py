@@ -34,7 +34,7 @@ def render(document: Mapping[str, Any]) -> str:
     counts = ", ".join(f"{count} {kind}" for kind, count in document["cases"].items())
     return page.render(
         "score.html.j2",
-        header=RunHeader(title="Blind test of the gap diagnosis", created=""),
+        header=RunHeader(title="Blind test of the gap diagnosis", created="", versions={}),
         words=f"{counts} cases. Intervals are 95 %, Wilson's.",
         parts=[{"caption": each[0], "table": _cells(each)} for each in every if each[2]],
     )
