@@ -276,8 +276,9 @@ def find_moves(driver: Driver, window: int, least: float, dt_s: float) -> list[M
 
     Trend Intercept of the calibration paper, section 2.5: stretches in which the driver keeps
     moving one way, of which those stay that change it enough within the fixed window; each is
-    tracked back to the sample where the lever left its resting position. `least` is raised to
-    eight standard deviations of the driver's noise.
+    tracked back to the sample where the lever left its resting position. Of those that begin at
+    one sample the longest stays. `least` is raised to eight standard deviations of the driver's
+    noise.
     """
     least = max(least, _NOISE_FACTOR * driver.noise)
     if least <= 0.0 or len(driver.values) <= window:
@@ -296,7 +297,8 @@ def find_moves(driver: Driver, window: int, least: float, dt_s: float) -> list[M
         for span in search.stretches(sign, round(_PAUSE_S / dt_s))
         if (move := search.trimmed(span, sign)) and search.change(move, window) >= least
     ]
-    return _distinct(moves)
+    moves.sort(key=lambda move: (move.start, move.stop))
+    return list({move.start: move for move in moves}.values())
 
 
 def _width(noise: float, slowest: float, window: int, dt_s: float) -> int:
@@ -368,11 +370,3 @@ def _refined(values: FloatArray, noise: float, start: int, first: int) -> int:
         return begin
     lead = min(8.0 * noise / slope, begin)
     return round(float(np.clip((level - offset) / slope, begin - lead, begin)))
-
-
-def _distinct(moves: list[Move]) -> list[Move]:
-    """Sort by start; of moves that begin at one sample the longest stays."""
-    kept: dict[int, Move] = {}
-    for move in sorted(moves, key=lambda move: (move.start, move.stop)):
-        kept[move.start] = move
-    return list(kept.values())

@@ -83,7 +83,8 @@ def resample(
     if not len(steps):
         result = np.full(grid.samples, np.nan)
     elif hold:
-        result = _last(at, steps, values)
+        row = np.searchsorted(steps, at, side="right") - 1
+        result = np.where(row >= 0, values[np.maximum(row, 0)], np.nan)
     else:
         result = _bridged(at, steps, (values, ends), grid)
         means = int(np.isfinite(result).sum()) if _fast(steps) else 0
@@ -111,11 +112,6 @@ def _last_of_equal(steps: FloatArray, values: FloatArray) -> tuple[FloatArray, F
     if last.all():
         return steps, values, 0
     return steps[last], values[last], int((~last).sum())
-
-
-def _last(at: FloatArray, steps: FloatArray, values: FloatArray) -> FloatArray:
-    row = np.searchsorted(steps, at, side="right") - 1
-    return np.where(row >= 0, values[np.maximum(row, 0)], np.nan)
 
 
 def _bridged(

@@ -31,6 +31,7 @@ from narxcal.support.arrays import BoolArray, FloatArray, robust_range, spans
 
 _QUANTISED, _ONE_SIZE = 0.6, 0.02  # share of the changes that are of one size, to this part of it
 _MANY = 0.2  # share of the samples outside of the physical range: no single errors, another unit
+_FEW = 0.01  # likewise, of single errors in the right unit
 _FRACTION = 1.6  # a spool speed below this all along is a ratio, not percent
 
 # Conversions that are missed or made twice: kind of unit -> (name, scale, offset) of the right one.
@@ -149,12 +150,10 @@ def _unit(channel: Channel, known: FloatArray) -> str:
         return ""
     if channel.name in SPOOLS and high > 2.0 * channel.high:
         return "rpm"
-    fitting = [word for word, *how in conversions(channel.name) if _fits(channel, known, *how)]
-    return fitting[0] if fitting else ""
-
-
-def _fits(channel: Channel, known: FloatArray, scale: float, offset: float) -> bool:
-    return not np.mean(out_of_range(channel, scale * known + offset)) > 0.01
+    for word, scale, offset in conversions(channel.name):
+        if not np.mean(out_of_range(channel, scale * known + offset)) > _FEW:
+            return word
+    return ""
 
 
 # What a moving aircraft shows: while one of the others changes by so much, none stays exactly.

@@ -68,12 +68,6 @@ def screened(bank: Bank | None, logs: Sequence[Log]) -> list[Log]:
     ]
 
 
-def _is_longest(log: Log, logs: Sequence[Log]) -> bool:
-    """Whether a log is the longest part of its recording, which stands for it as a whole."""
-    own = (len(one) for one in logs if recording_of(one) == recording_of(log))
-    return len(log) >= max(own, default=0)
-
-
 def _mate(log: Log, logs: Sequence[Log]) -> Log | None:
     """The log of another engine at the same times."""
     for one in logs:
@@ -87,7 +81,8 @@ def _mate(log: Log, logs: Sequence[Log]) -> Log | None:
 class _Subject:
     """The log under examination; `signals` without what is masked so far.
 
-    `mate` is the other engine of the flight; `whole`: the log stands for its recording as a whole.
+    `mate` is the other engine of the flight; `whole`: the log is the longest part of its recording,
+    and stands for it as a whole.
     """
 
     bank: Bank
@@ -158,7 +153,8 @@ def _subject(bank: Bank, log: Log, logs: Sequence[Log]) -> _Subject | None:
         other = (
             residuals(bank, Signals.of(mate.without_faults()), shared) if len(shared) > 1 else None
         )
-    whole = _is_longest(log, logs)
+    parts = (len(one) for one in logs if recording_of(one) == recording_of(log))
+    whole = len(log) >= max(parts, default=0)
     return _Subject(bank, clean, _without_air(log, signals), channels, other, whole)
 
 
@@ -297,7 +293,8 @@ def _kind(found: Residuals, name: str, inside: BoolArray) -> tuple[Kind, float, 
 
     A scale and a drift by 95 %: what is constant is taken for constant.
     """
-    error, expected = _error(found, name)
+    expected = found.corrected.raw(name, found.expected[name])
+    error = found.agreed[name] * found.scale(name) * found.corrected.scale[name]
     rows = inside & np.isfinite(error) & np.isfinite(expected)
     y, base = error[rows], expected[rows]
     if len(y) < 3:
@@ -317,13 +314,6 @@ def _kind(found: Residuals, name: str, inside: BoolArray) -> tuple[Kind, float, 
     if best == "scale":
         return best, 100.0 * sizes[best], "%"
     return best, sizes[best], CHANNELS[name].unit
-
-
-def _error(found: Residuals, name: str) -> tuple[FloatArray, FloatArray]:
-    """Agreed error and expected value (time,) of a channel in its unit."""
-    expected = found.corrected.raw(name, found.expected[name])
-    error = found.agreed[name] * found.scale(name) * found.corrected.scale[name]
-    return error, expected
 
 
 def _listed(channels: Sequence[str], but: str) -> str:
