@@ -32,22 +32,24 @@ CriterionName = Literal["D", "I"]
 
 
 class Step(NamedTuple):
-    """A move as it is flown: lowest and highest (n_out,) expected, what leaving it out would cost.
+    """A move with what is expected of it: lowest and highest (n_out,) of the outputs.
 
-    `inside` says whether all of it lies in the envelope of the model's logs, `share` the loss of
-    the criterion without it as a share of the losses of all steps.
+    `peak` is the highest with its uncertainty, `inside` whether all of it lies in the envelope of
+    the model's logs, `share` the loss of the criterion without it as a share of the losses of all
+    steps of a card.
     """
 
     move: Move
     low: FloatArray
     high: FloatArray
+    peak: FloatArray
     inside: bool
-    share: float
+    share: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class Card:
-    """Moves in the order of flight; `minutes` include settling and climbs.
+    """Moves in the order of flight.
 
     `expected` are rows of what the flight gives: name, before, after, and unit. `facts` go into the
     document as they are.
@@ -58,11 +60,17 @@ class Card:
     lever: str
     outputs: tuple[str, ...]
     steps: tuple[Step, ...]
-    minutes: float
     expected: tuple[tuple[str, float, float, str], ...]
     headline: str
     cautions: tuple[str, ...]
     facts: Mapping[str, Any]
+
+    @property
+    def minutes(self) -> float:
+        """Flight time, settling and climbs included."""
+        some = [one.move for one in self.steps]
+        climb = self.limits.climb_min(some[0].altitude_ft, some[-1].altitude_ft)
+        return climb + sum(one.minutes for one in some)
 
     def document(self) -> dict[str, Any]:
         """JSON-able."""
@@ -114,92 +122,66 @@ def calibration_card(
     check_channels(limits, own.input_names, own.output_names, lever)
     experiment = Experiment(bundle, limits, lever)
     flights = Flown(limits, lever, own.input_names, own.dt_s)
-    every, ranges = _permitted(experiment, flights)
+    every = [_expected(own, one, flights.alone(one)) for one in moves(limits)]
+    every = [every[k] for k in admitted(limits, every, own.output_names)]
     before = np.eye(len(experiment.unit)) + of_training(experiment, data, progress)
-    alone = [experiment.information_of(flights.alone(one)) for one in every]
+    alone = [experiment.information_of(flights.alone(one.move)) for one in every]
     outer = np.sum([one.outer for one in alone], axis=0) / sum(one.samples for one in alone)
     information = np.stack([one.information for one in alone])
     values = {"D": d_optimal(before), "I": i_optimal(before, outer)}
-    value = values[wanted.criterion]
-    chosen = planned(wanted, every, information, value)
-    path = flights.course([every[k] for k in chosen.numbers])
-    flight = experiment.information_of(path)
-    after = before + flight.information
-    shrunk = _Shrunk(before, after, outer, experiment.unit)
+    steps = planned(wanted, every, information, values[wanted.criterion])
+    path = flights.course([one.move for one in steps])
+    after = before + experiment.information_of(path).information
+    gains = _gains(experiment, (before, after), outer)
     return Card(
         "calibration",
         limits,
         lever,
         own.output_names,
-        steps_of(chosen, every, ranges, information, value),
-        chosen.minutes,
-        shrunk.rows(experiment.names),
-        shrunk.words,
-        (*shrunk.cautions, *passed(limits, _peaks(own, path), own.output_names)),
-        {
-            "run_sha256": bundle.sha256,
-            "criterion": wanted.criterion,
-            "information_nats": shrunk.nats,
-            "predictive_variance": {"before": shrunk.predictive[0], "after": shrunk.predictive[1]},
-        },
+        steps,
+        gains.expected,
+        gains.headline,
+        (*gains.cautions, *passed(limits, _peaks(own, path), own.output_names)),
+        {"run_sha256": bundle.sha256, "criterion": wanted.criterion, **gains.facts},
     )
 
 
-class _Shrunk(NamedTuple):
-    """Information before and after, mean outer product of slopes, all (P, P); units (P,)."""
+class _Gains(NamedTuple):
+    """What a flight gives, as a card states it."""
 
-    before: FloatArray
-    after: FloatArray
-    outer: FloatArray
-    unit: FloatArray
+    expected: tuple[tuple[str, float, float, str], ...]
+    headline: str
+    cautions: tuple[str, ...]
+    facts: Mapping[str, Any]
 
-    @property
-    def nats(self) -> float:
-        """Expected fall of the parameters' entropy."""
-        return float(np.linalg.slogdet(self.after)[1] - np.linalg.slogdet(self.before)[1]) / 2.0
 
-    @property
-    def deviations(self) -> tuple[FloatArray, FloatArray]:
-        """Standard deviations (P,) of the parameters before and after."""
-        before, after = (np.sqrt(np.diag(np.linalg.inv(one))) for one in (self.before, self.after))
-        return self.unit * before, self.unit * after
-
-    @property
-    def predictive(self) -> tuple[float, float]:
-        """Mean predictive variance in shares of the held-out mean squared error."""
-        before, after = (
-            float(np.sum(self.outer * np.linalg.inv(one))) for one in (self.before, self.after)
-        )
-        return before, after
-
-    @property
-    def words(self) -> str:
-        """What the flight gives, in one line."""
-        before, after = self.deviations
-        narrower = 1.0 - float(np.median(after / before))
-        surer = 1.0 - (self.predictive[1] / self.predictive[0]) ** 0.5
-        return (
-            f"intervals of parameters become {100.0 * narrower:.0f} % narrower in the median, "
-            f"those of predictions {100.0 * surer:.0f} %"
-        )
-
-    @property
-    def cautions(self) -> tuple[str, ...]:
-        """Say so where most of the error is not that of the parameters."""
-        share = self.predictive[0]
-        if share > _LITTLE:
-            return ()
-        text = (
-            f"uncertain parameters make {100.0 * share:.1g} % of the mean squared error on "
-            "held-out recordings; what the model's form leaves, no flight takes away"
-        )
-        return (text,)
-
-    def rows(self, names: Sequence[str]) -> tuple[tuple[str, float, float, str], ...]:
-        """Each parameter with its standard deviations, the most shrunk first."""
-        before, after = self.deviations
-        order = np.argsort(after / before)
-        return tuple((names[k], float(before[k]), float(after[k]), "1 s.d.") for k in order)
+def _gains(
+    experiment: Experiment, informations: tuple[FloatArray, FloatArray], outer: FloatArray
+) -> _Gains:
+    """Of information (P, P) before and after, and the mean outer product of slopes (P, P)."""
+    inverses = [np.linalg.inv(one) for one in informations]
+    deviations = np.array([experiment.unit * np.sqrt(np.diag(one)) for one in inverses])
+    ratio = deviations[1] / deviations[0]
+    # In shares of the held-out mean squared error.
+    predictive = [float(np.sum(outer * one)) for one in inverses]
+    narrower = 100.0 * (1.0 - float(np.median(ratio)))
+    surer = 100.0 * (1.0 - (predictive[1] / predictive[0]) ** 0.5)
+    caution = (
+        f"uncertain parameters make {100.0 * predictive[0]:.1g} % of the mean squared error on "
+        "held-out recordings; what the model's form leaves, no flight takes away"
+    )
+    nats = 0.5 * float(np.diff([np.linalg.slogdet(one)[1] for one in informations])[0])
+    names, (before, after) = experiment.names, deviations.tolist()
+    return _Gains(
+        tuple((names[k], before[k], after[k], "1 s.d.") for k in np.argsort(ratio).tolist()),
+        f"intervals of parameters become {narrower:.0f} % narrower in the median, those of "
+        f"predictions {surer:.0f} %",
+        (caution,) if predictive[0] <= _LITTLE else (),
+        {
+            "information_nats": nats,
+            "predictive_variance": {"before": predictive[0], "after": predictive[1]},
+        },
+    )
 
 
 @dataclass(frozen=True)
@@ -230,24 +212,9 @@ class Flown:
         return found
 
 
-class Ranges(NamedTuple):
-    """Lowest and highest (n_out,) of each output over a move; `inside` the trained envelope."""
-
-    low: FloatArray
-    high: FloatArray
-    inside: bool
-
-
-def _permitted(experiment: Experiment, flights: Flown) -> tuple[list[Move], list[Ranges]]:
-    """Moves whose outputs keep the limits, with the interval that the run gives them."""
-    own, every, ranges, peaks = experiment.bundle.calibration, moves(flights.limits), [], []
-    for one in every:
-        inputs = flights.alone(one)
-        y, inside = own.simulate(inputs), bool(own.steady.inside(inputs).all())
-        ranges.append(Ranges(y.min(axis=0), y.max(axis=0), inside))
-        peaks.append(_peaks(own, inputs))
-    kept = admitted(flights.limits, np.array(peaks), own.output_names)
-    return [every[k] for k in kept], [ranges[k] for k in kept]
+def _expected(own: Calibration, move: Move, inputs: FloatArray) -> Step:
+    y, inside = own.simulate(inputs), bool(own.steady.inside(inputs).all())
+    return Step(move, y.min(axis=0), y.max(axis=0), _peaks(own, inputs), inside)
 
 
 def _peaks(own: Calibration, inputs: FloatArray) -> FloatArray:
@@ -295,8 +262,9 @@ def check_channels(
             )
 
 
-def admitted(limits: Limits, peaks: FloatArray, outputs: Sequence[str]) -> list[int]:
-    """Numbers of the moves whose `peaks` (n, n_out) keep [highest]; `ConfigError` for none."""
+def admitted(limits: Limits, every: Sequence[Step], outputs: Sequence[str]) -> list[int]:
+    """Numbers of the moves whose peaks keep [highest]; `ConfigError` for none."""
+    peaks = np.array([one.peak for one in every])
     most = np.array([limits.highest.get(name, np.inf) for name in outputs])
     kept: list[int] = np.flatnonzero((peaks <= most).all(axis=1)).tolist()
     if not kept:
@@ -310,57 +278,38 @@ def admitted(limits: Limits, peaks: FloatArray, outputs: Sequence[str]) -> list[
     return kept
 
 
-class Chosen(NamedTuple):
-    """Numbers of the chosen candidates in the order of flight, and minutes in all."""
-
-    numbers: list[int]
-    minutes: float
-
-
 def planned(
-    wanted: Wanted, every: Sequence[Move], information: FloatArray, value: Criterion
-) -> Chosen:
-    """Choose moves by their `information` (n, P, P).
+    wanted: Wanted, every: Sequence[Step], information: FloatArray, value: Criterion
+) -> tuple[Step, ...]:
+    """Choose moves by their `information` (n, P, P), in the order of flight with their shares.
 
     Raises `ConfigError` where there is no time for a single move.
     """
-    limits, heights = wanted.limits, sorted({one.altitude_ft for one in every})
+    limits, height = wanted.limits, np.array([one.move.altitude_ft for one in every])
+    cost = np.array([one.move.minutes for one in every])
     best: list[int] = []
     score = -np.inf
-    for low, high in combinations_with_replacement(heights, 2):
-        some = [k for k, one in enumerate(every) if low <= one.altitude_ft <= high]
-        cost = np.array([every[k].minutes for k in some])
-        candidates = Candidates(information[some], cost)
+    for low, high in combinations_with_replacement(np.unique(height).tolist(), 2):
+        some = np.flatnonzero((height >= low) & (height <= high))
+        candidates = Candidates(information[some], cost[some])
         picked = design(candidates, wanted.minutes - limits.climb_min(low, high), value)
         found = float(value(candidates.total(picked)))
         if picked and found > score:
-            best, score = [some[k] for k in picked], found
+            best, score = some[picked].tolist(), found
     if not best:
-        shortest = min(one.minutes for one in every)
         raise ConfigError(
-            f"limits that admit no move: the shortest takes {shortest:.1f} minutes, "
+            f"limits that admit no move: the shortest takes {cost.min():.1f} minutes, "
             f"found {wanted.minutes:g}",
             hint="Give more minutes, or shorten settle_s and hold_s",
         )
-    best.sort(key=lambda k: _place(every[k]))
-    climb = limits.climb_min(every[best[0]].altitude_ft, every[best[-1]].altitude_ft)
-    return Chosen(best, climb + sum(every[k].minutes for k in best))
+    total = information[best].sum(axis=0)
+    lost = np.maximum(value(total) - value(total - information[best]), 0.0)
+    shares = (lost / max(float(lost.sum()), 1e-300)).tolist()
+    steps = [every[k]._replace(share=share) for k, share in zip(best, shares, strict=True)]
+    return tuple(sorted(steps, key=_place))
 
 
-def _place(move: Move) -> tuple[float, float, float]:
+def _place(one: Step) -> tuple[float, float, float]:
     """Order of flight: by altitude, then so that the lever is set by short ways."""
-    return move.altitude_ft, move.corners[0][1], move.corners[-1][1]
-
-
-def steps_of(
-    chosen: Chosen, every: Sequence[Move], ranges: Sequence[Ranges], information: FloatArray,
-    value: Criterion,
-) -> tuple[Step, ...]:  # fmt: skip
-    """The chosen moves as steps."""
-    total = information[chosen.numbers].sum(axis=0)
-    lost = value(total) - value(total - information[chosen.numbers])
-    shares = np.maximum(lost, 0.0) / max(float(np.maximum(lost, 0.0).sum()), 1e-300)
-    return tuple(
-        Step(every[k], *ranges[k], share)
-        for k, share in zip(chosen.numbers, shares.tolist(), strict=True)
-    )
+    corners = one.move.corners
+    return one.move.altitude_ft, corners[0][1], corners[-1][1]

@@ -26,16 +26,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from scipy.special import ndtr
 
-from eval.card import (
-    Card,
-    Flown,
-    Ranges,
-    Wanted,
-    admitted,
-    check_channels,
-    planned,
-    steps_of,
-)
+from eval.card import Card, Flown, Step, Wanted, admitted, check_channels, planned
 from eval.diagnosis.applied import gap_document
 from eval.diagnosis.stored_emulator import EMULATOR, read_emulator, signals_from_json
 from narxcal.effects.base import Effect, Signals
@@ -57,12 +48,20 @@ _INTERVAL: Final = 1.6449  # standard deviations of a 90 % interval
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """An effect with its parameters theta (p,) and their standard deviations, and how likely."""
+    """An effect with its parameters theta (p,) and their standard deviations, and how likely.
 
-    effect: Effect
+    Without an effect it says that none acts.
+    """
+
+    effect: Effect | None
     theta: FloatArray
     spread: FloatArray
     probability: float
+
+    @property
+    def name(self) -> str:
+        """That of the effect."""
+        return "no effect" if self.effect is None else self.effect.name
 
 
 class Undecided(NamedTuple):
@@ -85,16 +84,17 @@ def separation_card(file: Path, wanted: Wanted) -> Card:
     names = tuple(name for name in signals.inputs if name != UNLOGGED)
     check_channels(limits, names, signals.outputs, signals.driver)
     flown = Flown(limits, signals.driver, signals.inputs, signals.dt_s)
-    every = moves(limits)
-    flights = simulated(open_, [flown.alone(one) for one in every])
-    ends = [(y[:n], u[:n]) for y, u, n in zip(flights.y, flights.u, flights.lengths, strict=True)]
-    kept = admitted(limits, np.array([y.max(axis=0) for y, _ in ends]), signals.outputs)
+    some = moves(limits)
+    flights = simulated(open_, [flown.alone(one) for one in some])
+    every = [
+        Step(one, y[:n].min(axis=0), y[:n].max(axis=0), y[:n].max(axis=0), _inside(open_, u[:n]))
+        for one, y, u, n in zip(some, flights.y, flights.u, flights.lengths, strict=True)
+    ]
+    kept = admitted(limits, every, signals.outputs)
     columns = Columns.of(open_, flights)
-    ranges = [Ranges(ends[k][0].min(axis=0), ends[k][0].max(axis=0), _inside(open_, ends[k][1]))
-              for k in kept]  # fmt: skip
-    grams, some = columns.grams(flights, open_.variance)[kept], [every[k] for k in kept]
-    chosen = planned(wanted, some, grams, columns.divergence)
-    flight = simulated(open_, [flown.course([some[k] for k in chosen.numbers])])
+    grams = columns.grams(flights, open_.variance)[kept]
+    steps = planned(wanted, [every[k] for k in kept], grams, columns.divergence)
+    flight = simulated(open_, [flown.course([one.move for one in steps])])
     whole = Columns.of(open_, flight)
     rows = whole.chances(whole.grams(flight, open_.variance)[0])
     return Card(
@@ -102,13 +102,12 @@ def separation_card(file: Path, wanted: Wanted) -> Card:
         limits,
         signals.driver,
         signals.outputs,
-        steps_of(chosen, some, ranges, grams, columns.divergence),
-        chosen.minutes,
+        steps,
         tuple((f"{a} or {b}", 0.5, chance, "chance to be right") for a, b, chance in rows),
         "; ".join(f"{a} and {b} are separated with a probability of {100.0 * chance:.0f} %"
                   for a, b, chance in rows),
         (),
-        {"hypotheses": {one.effect.name: one.probability for one in open_.hypotheses}},
+        {"hypotheses": {one.name: one.probability for one in open_.hypotheses}},
     )  # fmt: skip
 
 
@@ -139,25 +138,27 @@ def read_undecided(file: Path) -> Undecided:
 
 
 def _hypotheses(document: Mapping[str, Any]) -> list[Hypothesis]:
-    """The ambiguous effects, or of an undetermined diagnosis the likeliest.
+    """The ambiguous effects, or of an undetermined diagnosis the likeliest, and that none acts.
 
-    A load of unknown windows is none: nobody knows whether it will be on.
+    A load of unknown windows is no hypothesis: nobody knows whether it will be on.
     """
     verdict, rows = document["verdict"], {}
+    none = Hypothesis(None, np.zeros(0), np.zeros(0), float(verdict.get("none", 0.0)))
     for row in document["effects"]:
         name = ":".join(filter(None, (row["id"], row.get("channel"))))
         if row["id"] != UnloggedSwitch.id:
             rows[name] = row
+    names, also = [], []
     if verdict["kind"] == "ambiguous":
         names = [*verdict["effects"][:1], *verdict["ambiguous_with"]]
-    elif verdict["kind"] == "unknown":
+    elif verdict["kind"] == "unknown" and rows:
         names = sorted(rows, key=lambda name: -float(rows[name]["probability"]))
-        most = float(rows[names[0]]["probability"]) if names else 0.0
-        names = [name for name in names if float(rows[name]["probability"]) >= _LIKELY * most]
-    else:
-        names = []
+        least = _LIKELY * float(rows[names[0]]["probability"])
+        names = [name for name in names if float(rows[name]["probability"]) >= least]
+        also = [none]
     signals = signals_from_json(document["quality"]["signals"])
-    return [_hypothesis(name, rows[name], signals) for name in names if name in rows][:_MOST]
+    found = [_hypothesis(name, rows[name], signals) for name in names if name in rows]
+    return [*found[: _MOST - len(also)], *also]
 
 
 def _hypothesis(name: str, row: Mapping[str, Any], signals: Signals) -> Hypothesis:
@@ -253,7 +254,7 @@ class Columns:
 
     def chances(self, gram: FloatArray) -> list[tuple[str, str, float]]:
         """Names of each pair, and the probability that the likelier one is the right one."""
-        names = [one.effect.name for one in self.hypotheses]
+        names = [one.name for one in self.hypotheses]
         return [
             (names[i], names[j], float(ndtr(0.5 * np.sqrt(max(float(d2), 0.0)))))
             for i, j, _ in self._pairs
@@ -265,12 +266,16 @@ def _response(
     one: Hypothesis, theta: FloatArray, flights: Flights, emulator: GreyBoxEmulator
 ) -> FloatArray:
     """What an effect changes (moves, time, outputs)."""
+    if one.effect is None:
+        return np.zeros_like(flights.y)
     return np.asarray(respond([(one.effect, theta[None])], flights, emulator)[0] - flights.y)
 
 
 def _slopes(one: Hypothesis, flights: Flights, emulator: GreyBoxEmulator) -> list[FloatArray]:
     """Half the difference of responses a standard deviation up and down, by parameter."""
-    found = []
+    found: list[FloatArray] = []
+    if one.effect is None:
+        return found
     bounds = one.effect.parameters(flights.signals)
     for k in np.flatnonzero(one.spread > 0.0):
         ends = []

@@ -241,6 +241,24 @@ def test_moves_tell_a_slow_probe_from_an_offset(narxcal, verdict, limits, tmp_pa
     sound_page(page.read_text("utf-8"))
 
 
+def test_a_card_of_an_undetermined_diagnosis_shows_whether_anything_acts_and_can_be_flown(
+    narxcal, verdict, limits, tmp_path
+):
+    gap = verdict(kind="unknown", effects=[], none=0.3)
+    page, flights = tmp_path / "card.html", tmp_path / "flights"
+    ended = narxcal("card", gap, "--aircraft", limits(), "--minutes", "4", "--out", page, "--json")
+    assert ended.code == 0, ended.err
+    card = json.loads(ended.out)
+    chances = {row["of"]: row["after"] for row in card["expected"]}
+    assert chances["sensor_lag:EGT_C or no effect"] > 0.9
+    ended = narxcal("fly", "demo", "--flights", "1", "--card", page.with_suffix(".json"),
+                    "--out", flights, "--json")  # fmt: skip
+    assert ended.code == 0, ended.err
+    log = json.loads(ended.out)["logs"][0]
+    assert log["duration_s"] / 60.0 == pytest.approx(card["minutes"], rel=0.2)
+    assert 2000.0 <= log["alt_ft"][0] <= log["alt_ft"][1] <= 8000.0
+
+
 def test_a_decided_diagnosis_needs_no_card(narxcal, diagnosed, limits, tmp_path):
     ended = narxcal("card", diagnosed / "gap.json", "--aircraft", limits(), "--out",
                     tmp_path / "card.html")  # fmt: skip

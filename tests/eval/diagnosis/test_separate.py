@@ -85,12 +85,12 @@ def test_likelihoods_are_right_as_often_as_the_chance_says(drawn):
     assert np.mean(ratio > 0.0) == pytest.approx(chance, abs=0.012)
 
 
-def gap(kind, effects=(), also=(), **chances):
+def gap(kind, effects=(), also=(), none=0.0, **chances):
     rows = [
         {"id": name, "channel": "EGT_C", "probability": chance, "parameters": {}}
         for name, chance in chances.items()
     ]
-    verdict = {"kind": kind, "effects": list(effects), "ambiguous_with": list(also)}
+    verdict = {"kind": kind, "effects": list(effects), "ambiguous_with": list(also), "none": none}
     return {"verdict": verdict, "effects": rows, "quality": {"signals": SIGNALS}}
 
 
@@ -104,11 +104,12 @@ def gap(kind, effects=(), also=(), **chances):
         ),
         (
             gap("unknown", sensor_lag=0.3, sensor_bias=0.02, sensor_gain=0.1),
-            ["sensor_lag:EGT_C", "sensor_gain:EGT_C"],
+            ["sensor_lag:EGT_C", "sensor_gain:EGT_C", "no effect"],
         ),
+        (gap("unknown", none=0.2, sensor_lag=0.7), ["sensor_lag:EGT_C", "no effect"]),
         (gap("effects", ["sensor_lag:EGT_C"], sensor_lag=0.9), []),
         (gap("none", sensor_lag=0.1), []),
     ],
 )  # fmt: skip
 def test_hypotheses_are_what_the_diagnosis_leaves_open(document, names):
-    assert [one.effect.name for one in _hypotheses(document)] == names
+    assert [one.name for one in _hypotheses(document)] == names
