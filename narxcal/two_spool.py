@@ -41,13 +41,15 @@ Systems*, ch. 6; state-variable form in Sugiyama, *J. Propulsion* 10 (1994).
 
 from __future__ import annotations
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numba import njit
 
 from narxcal.support.arrays import FloatArray, IntArray
+from narxcal.support.compiled import compiled
 
 # Where each coefficient begins in theta: a constant, a slope over x and one over L each, then what
 # is said; the last three are constants.
@@ -71,25 +73,25 @@ _FASTEST_S: Final = 0.05  # shortest lag that a step resolves
 _SPARED: Final = 0.05  # of a limit: what any load leaves of it
 
 
-@njit(cache=True, inline="always")
+@compiled(inline=True)
 def _line(theta: FloatArray, at: int, x: float, air: float) -> float:
     found: float = theta[at] + theta[at + 1] * x + theta[at + 2] * air
     return found
 
 
-@njit(cache=True, inline="always")
+@compiled(inline=True)
 def _positive(logarithm: float) -> float:
     found: float = np.exp(min(max(logarithm, -_WIDEST), _WIDEST))
     return found
 
 
-@njit(cache=True, inline="always")
+@compiled(inline=True)
 def _chord(flat: float, slope: float, bend: float, x: float, z: float) -> float:
     """Mean of `flat + slope x + bend x^2` between x and z."""
     return flat + 0.5 * slope * (x + z) + bend / 3.0 * (x * x + x * z + z * z)
 
 
-@njit(cache=True, inline="always")
+@compiled(inline=True)
 def soft(demand: float, limit: float) -> float:
     """`demand` while it is small against `limit` (positive), and no more than that in size."""
     square = (demand / limit) ** 2
@@ -97,13 +99,12 @@ def soft(demand: float, limit: float) -> float:
     return found
 
 
-@njit(cache=True)
+Flown = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+Setting = tuple[float, float, float, int, int]
+
+
 def run(
-    theta: FloatArray,
-    thermal: FloatArray,
-    flown: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
-    which: IntArray,
-    setting: tuple[float, float, float, int, int],
+    theta: FloatArray, thermal: FloatArray, flown: Flown, which: IntArray, setting: Setting
 ) -> FloatArray:
     """Free runs of many rows, `(rows, time, 2 + flows)`.
 
@@ -111,8 +112,23 @@ def run(
     those of Y, b and tau_y. `flown` are the settled values (blocks, time, 2 + flows), L and the
     load in %/s (blocks, time) and the first row (rows, 2 + flows); `which` (rows,) the block of
     each row. `setting` is the raster in s, the bottom and the range of core speed, the speed that
-    is governed, and the column of the temperature that metal follows.
+    is governed, and the column of the temperature that metal follows. Every thread has some rows.
     """
+    steady, air, load, start = flown
+    cuts = np.array_split(np.arange(len(theta)), min(len(theta), os.cpu_count() or 1))
+    parts = [slice(rows[0], rows[-1] + 1) for rows in cuts]
+
+    def part(rows: slice) -> FloatArray:
+        return _run(theta[rows], thermal, (steady, air, load, start[rows]), which[rows], setting)
+
+    with ThreadPoolExecutor(len(parts)) as pool:  # compiled runs release Python's lock
+        return np.concatenate(list(pool.map(part, parts)))
+
+
+@compiled
+def _run(
+    theta: FloatArray, thermal: FloatArray, flown: Flown, which: IntArray, setting: Setting
+) -> FloatArray:
     steady, air, load, start = flown
     dt_s, low, span, governed, hot = setting
     steps = max(1, int(np.ceil(dt_s / _STEP_S - 1e-9)))
@@ -128,17 +144,17 @@ def run(
         out[r, 0] = start[r]
         at = steady[which[r]]
         for k in range(steady.shape[1] - 1):
+            day = air[which[r], k], np.exp(air[which[r], k]), load[which[r], k]
             for i in range(steps):
                 for c in range(count):
                     wanted[c] = at[k, c] + i / steps * (at[k + 1, c] - at[k, c])
-                day = air[which[r], k], load[which[r], k]
                 _advance(state, wanted, day, (theta[r], thermal, kept), inner)
             for c in range(count):
                 out[r, k + 1, c] = state[c]
     return out
 
 
-@njit(cache=True)
+@compiled
 def _keep(theta: FloatArray, thermal: FloatArray, h: float, kept: FloatArray) -> None:
     """What each lag keeps of its state over a step: flows, valve, a further lag, blades, metal."""
     flows = len(thermal)
@@ -150,16 +166,16 @@ def _keep(theta: FloatArray, thermal: FloatArray, h: float, kept: FloatArray) ->
     kept[5 + flows] = np.exp(-h / max(theta[SIZE + 10], 1e-9))
 
 
-@njit(cache=True, inline="always")
+@compiled(inline=True)
 def _advance(
     state: FloatArray,
     wanted: FloatArray,
-    day: tuple[float, float],
+    day: tuple[float, float, float],
     coefficients: tuple[FloatArray, FloatArray, FloatArray],
     setting: tuple[float, float, float, int, int],
 ) -> None:
     """One explicit step of the speeds, and an exact one of every lag for a constant input."""
-    (theta, thermal, kept), (air, load) = coefficients, day
+    (theta, thermal, kept), (air, density, load) = coefficients, day
     h, low, span, governed, hot = setting
     flows, holds_rate = len(wanted), governed // 2 == 1
     n1, n2, p = state[0], state[1], state[flows]
@@ -168,7 +184,7 @@ def _advance(
     z = min(max((wanted[1] - low) / span, -0.2), 1.2)
     match = _chord(theta[LINE] + theta[LINE + 2] * air, theta[LINE + 1], theta[LINE + 3], x, z)
     behind = (wanted[0] + match * (n2 - wanted[1]) - n1) / span
-    power = np.exp(air) * 0.5 * (1.0 + x)
+    power = density * 0.5 * (1.0 + x)
     taken = theta[SIZE + 9] * power * (state[flows + 3] - state[flows + 4])
     spare = p - taken
     way = behind + theta[PUSH] * spare / span
@@ -206,7 +222,7 @@ def _advance(
         state[j] = state[hot] + kept[j - 1] * (state[j] - state[hot])
 
 
-@njit(cache=True, inline="always")
+@compiled(inline=True)
 def _limit(theta: FloatArray, at: int, place: tuple[float, float, float]) -> float:
     """A limit, positive, in %/s, at x, L and what the fan is behind its match, over R."""
     x, air, behind = place

@@ -242,14 +242,9 @@ class Frame:
         share, least = _LEAST
         return max(found.cost - self.floor, 0.0) + share * self.floor + least
 
-    def columns(self, node: Node) -> Columns:
-        """Inner products of a node."""
-        (found,) = self._columns([node])
-        return found
-
     def _columns(self, nodes: Sequence[Node]) -> Iterator[Columns]:
         """Inner products of nodes, of several in one pass through the nuisances."""
-        some = max(1, _AT_ONCE // len(nodes[0].rows))
+        some = max(1, _AT_ONCE // len(nodes[0].rows)) if nodes else 1
         for k in range(0, len(nodes), some):
             part = nodes[k : k + some]
             rows = np.concatenate([node.rows for node in part], dtype=np.float64)
@@ -265,13 +260,16 @@ class Frame:
         found, gram = self._metric.whiten(rows), self._metric.gram
         return gram(found, found), gram(found, self._n), gram(found, self._d)[..., 0]
 
-    def fit(self, nodes: Sequence[Node]) -> Single:
-        """The best of the nodes of one effect."""
-        fits = [
+    def fits(self, nodes: Sequence[Node]) -> list[Single]:
+        """Each node by itself."""
+        return [
             Single(node, columns, solve(self.grams, columns, begin=self.none.tau))
             for node, columns in zip(nodes, self._columns(nodes), strict=True)
         ]
-        return min(fits, key=lambda one: one.solved.cost)
+
+    def fit(self, nodes: Sequence[Node]) -> Single:
+        """The best of the nodes of one effect."""
+        return min(self.fits(nodes), key=lambda one: one.solved.cost)
 
     def refined(self, one: Single, dictionary: Dictionary, rounds: int = 2) -> Single:
         """The same effect with nodes where its steps end."""

@@ -20,7 +20,6 @@ from math import log
 from typing import Final
 
 import numpy as np
-from numba import njit
 from scipy.signal import lfilter
 
 from narxcal.effects.library import LIBRARY
@@ -28,8 +27,9 @@ from narxcal.effects.memory import Lag
 from narxcal.effects.running import with_load
 from narxcal.effects.steady import FOLLOW_S, UnloggedSwitch
 from narxcal.support.arrays import BoolArray, FloatArray
+from narxcal.support.compiled import compiled
 from training.diagnosis.dictionary import Node
-from training.diagnosis.fit import Frame, Single, solve
+from training.diagnosis.fit import Frame, Single, Solved
 from training.diagnosis.metric import TOLERANCE
 
 _BLOCK_S: Final = 2.0  # about what an engine takes to follow, twice
@@ -43,18 +43,17 @@ def found(frame: Frame) -> list[Single]:
     The windows are in `node.on` (flights, time).
     """
     alone = tuple(range(len(frame.record.gap)))
-    fits = [
-        (blocks.price(one), one)
-        for groups in dict.fromkeys((alone, frame.record.group or alone))
-        for blocks in (_Blocks(frame, groups),)
-        for one in blocks.fits()
-    ]
-    return [min(fits, key=lambda pair: pair[0])[1]] if fits else []
+    blocks = _Blocks(frame)
+    best: list[tuple[float, Single]] = []
+    for groups in dict.fromkeys((alone, frame.record.group or alone)):
+        blocks.groups = np.array(groups)
+        best += blocks.best()
+    return [min(best, key=lambda pair: pair[0])[1]] if best else []
 
 
 def windows_of(frame: Frame, shift: FloatArray) -> BoolArray:
     """Where (flights, time) a load of known `shift` (outputs,) is on in a gap."""
-    blocks = _Blocks(frame, tuple(range(len(frame.record.gap))))
+    blocks = _Blocks(frame)
     return blocks.spread(blocks.climb(shift, known=True))
 
 
@@ -144,54 +143,74 @@ class _Blocks:
     Flights of one number in `groups` (flights,) share their windows.
     """
 
-    def __init__(self, frame: Frame, groups: tuple[int, ...]) -> None:
+    def __init__(self, frame: Frame) -> None:
         record = frame.record
-        self._frame, self._groups = frame, np.array(groups)
+        self._frame, self.groups = frame, np.arange(len(record.gap))
         self._size = max(1, round(_BLOCK_S / record.flights.signals.dt_s))
         self._steps = record.gap.shape[1]
         variance = record.noise**2 + (TOLERANCE * record.span) ** 2
         self._starts = np.arange(0, self._steps, self._size)
-        self._weight = self._sums(record.known.astype(float)) / variance
         self._known, self._tau = record.known, frame.none.tau
+        self._count = self._sums(record.known.astype(float))
+        self._weight = self._count / variance
         self._switch = _penalty(frame)
-        self.left = self._means(frame.cleaned(frame.none))
+        self._gap = self._means(frame.gap)
+        self._nuisances = np.stack([self._means(each) for each in frame.nuisances.columns])
+        self.left = self._left(frame.none)
 
     def _sums(self, v: FloatArray) -> FloatArray:
         return np.asarray(np.add.reduceat(v, self._starts, axis=1))
 
     def _means(self, v: FloatArray) -> FloatArray:
-        count = self._sums(self._known.astype(float))
-        return self._sums(np.where(self._known, v, 0.0)) / np.maximum(count, 1.0)
+        return self._sums(np.where(self._known, v, 0.0)) / np.maximum(self._count, 1.0)
 
-    def fits(self) -> list[Single]:
-        """A load in the windows that every first guess leads to, and in what is between them.
+    def _left(self, one: Solved) -> FloatArray:
+        """Block means of the gap less the nuisances of a fit."""
+        return np.asarray(self._gap - np.tensordot(one.nu, self._nuisances, axes=1))
 
-        A flight's offset makes one of the other: of a load that is off in windows, with the other
-        sign.
+    def best(self) -> list[tuple[float, Single]]:
+        """The best fit of a load with its price, empty without any.
+
+        It is in the windows that every first guess leads to, or in what is between them: a flight's
+        offset makes one of the other, of a load that is off in windows, with the other sign.
+        Windows then follow the shifts, nuisances and misfit of their joint fit, as long as that
+        leaves less; those of a round are fitted in one pass, and none twice.
         """
-        found = [on for on in map(self.climb, self.guesses()) if on.any()]
-        found += [~on & on.any(axis=1, keepdims=True) for on in found]
-        tried = {on.tobytes(): on for on in found if on.any()}
-        return [self._again(self._fitted_in(on)) for on in tried.values()]
+        begun = [on for on in map(self.climb, self.guesses()) if on.any()]
+        begun += [~on & on.any(axis=1, keepdims=True) for on in begun]
+        best: list[tuple[float, Single]] = []
+        followed: dict[bytes, tuple[float, BoolArray]] = {}  # windows: their price, the next ones
+        going = [(np.inf, on) for on in begun]
+        for _ in range(1 + _ROUNDS):
+            going = [(before, on) for before, on in going if on.any()]
+            new = {on.tobytes(): on for _, on in going if on.tobytes() not in followed}
+            fits = self._frame.fits([self._node(on) for on in new.values()])
+            for key, one in zip(new, fits, strict=True):
+                price, left = self.price(one), self._left(one.solved)
+                followed[key] = price, self._best(left, one.theta, one.solved.tau)
+                if not best or price < best[-1][0]:
+                    best = [(price, one)]
+            here = [(before, *followed[on.tobytes()]) for before, on in going]
+            going = [(price, then) for before, price, then in here if price < before]
+        return best
 
-    def _again(self, one: Single) -> Single:
-        """The same by shifts, nuisances and misfit of the joint fit, as long as it leaves less."""
-        for _ in range(_ROUNDS):
-            left = self._means(self._frame.cleaned(one.solved))
-            on = self._best(left, one.theta, one.solved.tau)
-            if not on.any():
-                return one
-            other = self._fitted_in(on)
-            if self.price(other) >= self.price(one):
-                return one
-            one = other
-        return one
-
-    def _fitted_in(self, on: BoolArray) -> Single:
-        """The load in windows by blocks, fitted with the nuisances."""
-        own = [np.flatnonzero(self._groups == g)[0] for g in np.unique(self._groups)]
+    def _node(self, on: BoolArray) -> Node:
+        """A load in windows (flights, blocks)."""
+        flights = self._frame.record.flights
+        signals, inside = flights.signals, self.spread(on).astype(float)
+        own = [np.flatnonzero(self.groups == g)[0] for g in np.unique(self.groups)]
         switches = int(np.abs(np.diff(on[own].astype(int), axis=1)).sum() + on[own, 0].sum())
-        return _fitted(self._frame, self.spread(on), switches)
+        effect = LIBRARY[UnloggedSwitch.id]()
+        parameters = tuple(
+            p for p in effect.parameters(with_load(flights, inside).signals) if p.linear
+        )
+        rows = np.zeros((1 + len(parameters), *flights.y.shape), dtype=np.float32)
+        follows = Lag(np.full(len(on), FOLLOW_S), signals.dt_s)(inside)
+        for k in range(len(parameters)):
+            rows[1 + k, ..., k] = follows
+        box = np.array([(p.low, p.high) for p in parameters])
+        zero, free = np.zeros(len(parameters)), tuple(range(len(parameters)))
+        return Node(effect, parameters, zero, free, rows, box, self.spread(on), switches)
 
     def spread(self, on: BoolArray) -> BoolArray:
         """Windows (flights, time) of windows by blocks."""
@@ -235,8 +254,8 @@ class _Blocks:
 
     def _best(self, left: FloatArray, shift: FloatArray, tau: float) -> BoolArray:
         gain = (self._weight * (2.0 * left - shift) * shift).sum(axis=-1)
-        for g in np.unique(self._groups):
-            gain[self._groups == g] = gain[self._groups == g].sum(axis=0)
+        for g in np.unique(self.groups):
+            gain[self.groups == g] = gain[self.groups == g].sum(axis=0)
         on = np.stack([_viterbi(0.5 / tau * row, self._switch) for row in gain])
         on[on.mean(axis=1) > _MOST] = False
         return on
@@ -246,7 +265,7 @@ class _Blocks:
         return one.solved.cost + 2.0 * one.solved.tau * self._switch * one.node.switches
 
 
-@njit(cache=True)
+@compiled
 def _viterbi(gain: FloatArray, penalty: float) -> BoolArray:
     """The path of zeros and ones with the most `gain` where it is one, less `penalty` a switch."""
     n = len(gain)
@@ -264,22 +283,3 @@ def _viterbi(gain: FloatArray, penalty: float) -> BoolArray:
         path[t] = state == 1
         state = came[t, state]
     return path
-
-
-def _fitted(frame: Frame, on: BoolArray, switches: int) -> Single:
-    """The load in given windows (flights, time), fitted with the nuisances."""
-    flights = frame.record.flights
-    signals = flights.signals
-    effect = LIBRARY[UnloggedSwitch.id]()
-    parameters = tuple(
-        p for p in effect.parameters(with_load(flights, on.astype(float)).signals) if p.linear
-    )
-    rows = np.zeros((1 + len(parameters), *flights.y.shape), dtype=np.float32)
-    follows = Lag(np.full(len(on), FOLLOW_S), signals.dt_s)(on.astype(float))
-    for k in range(len(parameters)):
-        rows[1 + k, ..., k] = follows
-    box = np.array([(p.low, p.high) for p in parameters])
-    zero, free = np.zeros(len(parameters)), tuple(range(len(parameters)))
-    node = Node(effect, parameters, zero, free, rows, box, on, switches)
-    columns = frame.columns(node)
-    return Single(node, columns, solve(frame.grams, columns, begin=frame.none.tau))

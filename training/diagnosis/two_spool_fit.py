@@ -133,6 +133,7 @@ class _Rotors:
         self._every = max(1, round(_EVERY_S / rotors.dt_s))
         # Errors are weighted so that all within a second count as one observation.
         self.root = float(np.sqrt(self._every * rotors.dt_s / _INDEPENDENT_S))
+        self._weight = rotors.inside[..., None] * (self.root / _TOLERANCE) / rotors.span
 
     def errors(self, z: FloatArray) -> FloatArray:
         """Weighted errors, then z itself for the priors."""
@@ -159,9 +160,10 @@ class _Rotors:
             which,
             (blank.dt_s, blank.low, blank.span, blank.governed, 1),
         )
-        wrong = (y - rotors.y[which]) * rotors.inside[which][..., None] / rotors.span
-        scaled = wrong[:, :: self._every] * (self.root / _TOLERANCE)
-        return np.concatenate([scaled.reshape(len(z), -1), z * self.root], axis=1)
+        wrong = y.reshape(len(z), *rotors.y.shape)[:, :, :: self._every]
+        wrong -= rotors.y[:, :: self._every]
+        wrong *= self._weight[:, :: self._every]
+        return np.concatenate([wrong.reshape(len(z), -1), z * self.root], axis=1)
 
 
 def _flow(course: Course, j: int) -> FloatArray:
