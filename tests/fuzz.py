@@ -34,10 +34,9 @@ from safetensors.numpy import save as save_arrays
 from data_prep.config import LogsConfig
 from data_prep.log import Log
 from data_prep.reading import read_logs
-from eval.diagnosis.applied import read_effects
+from eval.diagnosis.applied import read_effects, read_emulator
 from eval.diagnosis.blind.files import read_cases
 from eval.diagnosis.learned import learned_by
-from eval.diagnosis.stored_emulator import read_emulator
 from eval.evaluate import evaluation_logs
 from eval.replay import ReplayModel, ReplayOptions, replay
 from narxcal import Narx

@@ -11,10 +11,10 @@ import numpy as np
 
 from data_prep.events import PULL, PUSH
 from data_prep.plausibility import conversions
+from eval.diagnosis.applied import signals_to_json
 from eval.diagnosis.expected import ChannelShrink, HeldOut, TimeShrink, Values
 from eval.diagnosis.flights import GapData
 from eval.diagnosis.pairs import Pair
-from eval.diagnosis.stored_emulator import signals_to_json
 from eval.diagnosis.where import Row, Sides, Where
 from narxcal.channels import SPOOLS
 from narxcal.effects.base import InputEffect, RateEffect, SettledEffect, ShiftEffect, unit

@@ -19,7 +19,7 @@ from eval.report import style
 from eval.report.style import Picture, picture
 from narxcal.channels import symbol
 from narxcal.effects.base import Effect, InputEffect, Parameter, Run, Signals
-from narxcal.effects.memory import Lag
+from narxcal.effects.operators import lag
 from narxcal.effects.steady import ShapedEffect
 from narxcal.support.arrays import FloatArray
 from training.diagnosis.budget import Interval
@@ -266,8 +266,8 @@ def step_response(sketch: Sketch) -> Figure:
     def answer(size: float) -> FloatArray:
         if shifted or size == 0.0:
             return np.asarray((time >= size).astype(float))
-        lag = Lag(np.array([size]), float(time[1] - time[0]))
-        return np.asarray(lag((time >= 0.0).astype(float)[None])[0])
+        step = (time >= 0.0).astype(float)[None]
+        return np.asarray(lag(step, np.array([size]), float(time[1] - time[0]))[0])
 
     axes.plot(time, answer(own), color=style.STEADY, ls="--", lw=0.8, label="simulator")
     band(axes, time, answer(own + tau.low), answer(own + tau.high))

@@ -27,8 +27,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from eval.card import Card, Flown, Step, Wanted, admitted, check_channels, planned
-from eval.diagnosis.applied import gap_document
-from eval.diagnosis.stored_emulator import EMULATOR, read_emulator, signals_from_json
+from eval.diagnosis.applied import EMULATOR, gap_document, read_emulator, signals_from_json
 from narxcal.effects.base import Effect, Signals
 from narxcal.effects.library import effect
 from narxcal.effects.running import Flights, respond

@@ -16,7 +16,7 @@ from data_prep.log import Log
 from narxcal.calibration.bundle import DOCUMENT, load_bundle
 from narxcal.calibration.calibration import Calibration
 from narxcal.channels import CHANNELS
-from narxcal.effects.pace import Pace
+from narxcal.effects.base import Pace
 from narxcal.effects.running import Emulator, Flights, Shift
 from narxcal.steady.fmu import import_fmpy, read_description
 from narxcal.steady.function import import_function, search_path

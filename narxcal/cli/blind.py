@@ -10,10 +10,9 @@ from eval.diagnosis.blind.altered import make_altered
 from eval.diagnosis.blind.cases import BlindPlan
 from eval.diagnosis.blind.files import CASES, KEY, SCHEMA
 from eval.diagnosis.blind.make import make_cases, write_key
-from eval.diagnosis.blind.page import render, tables
 from eval.diagnosis.blind.run import Judge, Limits, run_cases
 from eval.diagnosis.blind.score import SCHEMA as SCORE_SCHEMA
-from eval.diagnosis.blind.score import CaseSet, score_answers
+from eval.diagnosis.blind.score import CaseSet, render, score_answers, tables
 from eval.diagnosis.blind.sim_logs import make_log_cases
 from narxcal.cli.console import Console
 from narxcal.cli.options import (

@@ -10,10 +10,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from eval.diagnosis.applied import EMULATOR, write_emulator
 from eval.diagnosis.diagnose import Answer, Request, diagnose_folders, learn_folders, mapping_of
 from eval.diagnosis.learned import LEARNED, keep_learned, learn_left_out
 from eval.diagnosis.page import budget_page, console_tables
-from eval.diagnosis.stored_emulator import EMULATOR, write_emulator
 from eval.diagnosis.words import outcome
 from eval.outcome import plural
 from eval.report.page import now, write_page

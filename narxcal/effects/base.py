@@ -4,6 +4,12 @@ An effect has named parameters and acts on the *input* (what reaches the engine)
 settles*, on the *rate* (how fast it moves) or on the *output* (what the sensor reports). Any
 simulator that accepts other inputs, settled values and paces takes any effect without a change of
 its own (see `effects.running`).
+
+Effects on rates set the engine to another `Pace`. A two-spool engine moves by the power its core
+has to spare. What can be different is how fast either spool turns that into speed, up or down; what
+thin air makes of it; how much acceleration the control allows; how late the fuel valve follows what
+the control asks for; and what metal that is colder than the gas, or warmer, takes of the power or
+gives to it.
 """
 
 from __future__ import annotations
@@ -12,16 +18,68 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import product
-from typing import ClassVar, Literal
+from typing import ClassVar, Final, Literal, NamedTuple
 
 import numpy as np
 
 from narxcal.atmosphere import air_state
 from narxcal.channels import described
-from narxcal.effects.memory import Memory
-from narxcal.effects.pace import Pace
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError
+
+UNLIMITED: Final = 1e6  # %/s: no limit at all
+
+
+class Pace(NamedTuple):
+    """How fast an engine moves against its simulator; each field is `(batch,)`.
+
+    Rates of the fan and of the core are so many times as fast while they speed up and while they
+    slow down, and go with `thin_air` as a further power of `delta / sqrt(theta)`. `limit` is the
+    greatest acceleration that the control asks for over the simulator's own, `fall` the greatest
+    deceleration; `valve_s` is a further lag between what it asks for and the fuel. What fuel does
+    to the core depends on the core's own time constant `core_s` at constant fuel, which no log of a
+    governed engine shows. The core lacks `loss` (%/s) per unit of a temperature by which the
+    metal, behind a lag of `metal_s`, trails the blades, behind one of `rise_s`. `most` is the
+    greatest acceleration (%/s) that the control asks for at any speed and altitude.
+    """
+
+    fan_up: FloatArray
+    fan_down: FloatArray
+    core_up: FloatArray
+    core_down: FloatArray
+    thin_air: FloatArray
+    limit: FloatArray
+    valve_s: FloatArray
+    core_s: FloatArray
+    fall: FloatArray
+    loss: FloatArray
+    metal_s: FloatArray
+    rise_s: FloatArray
+    most: FloatArray
+
+
+def as_simulated(batch: int) -> Pace:
+    """The simulator's own pace."""
+    one, none = np.ones(batch), np.zeros(batch)
+    return Pace(one, one, one, one, none, one, none, one, one, none, one, one, UNLIMITED * one)
+
+
+def together(paces: Sequence[Pace]) -> Pace:
+    """Several at once: factors multiply, powers, lags and losses add up.
+
+    One alone has a `core_s`, and one alone has metal.
+    """
+    found = paces[0]
+    for other in paces[1:]:
+        products = [a * b for a, b in zip(found, other, strict=True)]
+        found = Pace(*products)._replace(
+            thin_air=found.thin_air + other.thin_air,
+            valve_s=found.valve_s + other.valve_s,
+            loss=found.loss + other.loss,
+            most=np.minimum(found.most, other.most),
+        )
+    return found
+
 
 Side = Literal["input", "process", "sensor"]
 
@@ -120,17 +178,15 @@ def _column(names: Sequence[str], name: str, what: str) -> int:
 
 @dataclass(eq=False)
 class Run:
-    """A batch of runs under way with one effect; only the hooks of that effect change it.
+    """A batch of whole runs with one effect.
 
-    `theta` (batch, parameters) is in the order of the effect's parameters. `u` are the inputs that
-    reach the engine over the block of samples at hand, (batch, time, inputs). `memory` keeps, by a
-    name, what has to be carried on from one block to the next.
+    `theta` (batch, parameters) is in the order of the effect's parameters, `u` (batch, time,
+    inputs) are the inputs that reach the engine.
     """
 
     signals: Signals
     theta: FloatArray
     u: FloatArray
-    memory: dict[str, Memory] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -173,10 +229,7 @@ class InputEffect(Effect):
 
     @abstractmethod
     def on_input(self, run: Run, u: FloatArray) -> FloatArray:
-        """Inputs (batch, time, inputs) that arrive, for the block of inputs `u`.
-
-        A block is one sample or many, up to the whole log; `run` carries on from the last one.
-        """
+        """Inputs (batch, time, inputs) that arrive of inputs `u`."""
 
 
 class ShiftEffect(InputEffect):
@@ -196,10 +249,7 @@ class SettledEffect(Effect):
 
     @abstractmethod
     def settles(self, run: Run, y: FloatArray) -> FloatArray:
-        """Shift (batch, time, outputs) of where it settles, for the simulator's own outputs `y`.
-
-        It is called once, for the whole log.
-        """
+        """Shift (batch, time, outputs) of where it settles, for the simulator's own outputs `y`."""
 
 
 class LoadEffect(Effect):
@@ -213,7 +263,7 @@ class LoadEffect(Effect):
     def load(self, run: Run, y: FloatArray) -> FloatArray:
         """What it takes (batch, time) in %/s of core speed at full speed and sea level.
 
-        Like `settles` it is called once, for the whole log, and the simulator's own outputs `y`.
+        `y` are the simulator's own outputs.
         """
 
 
@@ -234,7 +284,7 @@ class OutputEffect(Effect):
 
     @abstractmethod
     def on_output(self, run: Run, y: FloatArray) -> FloatArray:
-        """Readings (batch, time, outputs) of the block of outputs `y`; blocks as for inputs."""
+        """Readings (batch, time, outputs) of outputs `y`."""
 
 
 def unit(output: str) -> str:

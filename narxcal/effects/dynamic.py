@@ -6,9 +6,18 @@ from typing import ClassVar
 
 import numpy as np
 
-from narxcal.effects.base import OutputEffect, Parameter, RateEffect, Run, Side, Signals
-from narxcal.effects.memory import Lag
-from narxcal.effects.pace import UNLIMITED, Pace, as_simulated
+from narxcal.effects.base import (
+    UNLIMITED,
+    OutputEffect,
+    Pace,
+    Parameter,
+    RateEffect,
+    Run,
+    Side,
+    Signals,
+    as_simulated,
+)
+from narxcal.effects.operators import lag
 from narxcal.support.arrays import FloatArray
 
 SPEEDS = ("N1_pct", "N2_pct")
@@ -174,8 +183,5 @@ class ActuatorLag(_Transit, OutputEffect):
         """Outside a loop, all outputs behind one and the same lag."""
         outside = run.theta[:, 2] >= _EITHER if run.signals.governed else 1.0
         tau_s = run.theta[:, 0] * outside
-        columns = [
-            run.memory.setdefault(f"lag {j}", Lag(tau_s, run.signals.dt_s))(y[..., j])
-            for j in range(y.shape[-1])
-        ]
-        return np.stack(columns, axis=-1)
+        dt_s = run.signals.dt_s
+        return np.stack([lag(y[..., j], tau_s, dt_s) for j in range(y.shape[-1])], axis=-1)

@@ -11,20 +11,18 @@ from narxcal.effects.dynamic import (
     SpoolCoupling,
     SpoolLag,
 )
-from narxcal.effects.input_side import (
+from narxcal.effects.signal_path import (
     DriverGain,
-    ThrottleBacklash,
-    ThrottleBias,
-    ThrottleDelay,
-    ThrottleRateLimit,
-)
-from narxcal.effects.sensor_side import (
     FlowmeterDynamics,
     SensorBias,
     SensorDrift,
     SensorEffect,
     SensorGain,
     SensorLag,
+    ThrottleBacklash,
+    ThrottleBias,
+    ThrottleDelay,
+    ThrottleRateLimit,
     TimeSkew,
 )
 from narxcal.effects.steady import (
@@ -56,7 +54,7 @@ ENGINE_WIDE: tuple[type[Effect], ...] = (
     IdleSchedule,
 )
 PER_CHANNEL: tuple[type[Effect], ...] = (SensorLag, SensorBias, SensorDrift, TimeSkew)
-# Judged by the budget alone: the diagnosis by rules has none for them.
+# In no blind case: how often they are claimed wrongly is known, how often rightly is not.
 SCALES: tuple[type[Effect], ...] = (DriverGain, SensorGain)
 ALL: tuple[type[Effect], ...] = (*ENGINE_WIDE, *PER_CHANNEL, FlowmeterDynamics, *SCALES)
 LIBRARY: dict[str, type[Effect]] = {kind.id: kind for kind in ALL}

@@ -24,13 +24,15 @@ from narxcal.effects.base import (
     InputEffect,
     LoadEffect,
     OutputEffect,
+    Pace,
     PacedEffect,
     Run,
     SettledEffect,
     ShiftEffect,
     Signals,
+    as_simulated,
+    together,
 )
-from narxcal.effects.pace import Pace, as_simulated, together
 from narxcal.effects.steady import UNLOGGED
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError
@@ -53,21 +55,16 @@ class Flights:
     """Inputs `u` (flights, time, inputs) and simulated outputs `y` (flights, time, outputs).
 
     Shorter flights are filled up with their last row; `lengths` (flights,) say where they end.
-    Where one of the inputs is an unlogged load, `price` (flights,) is what its windows, found in
-    the gap, are worth in noise: as much of the squared gap as any windows would take.
     """
 
     signals: Signals
     u: FloatArray
     y: FloatArray
     lengths: NDArray[np.int64]
-    price: FloatArray | None = None
 
 
-def with_load(
-    flights: Flights, on: FloatArray, price: FloatArray | None = None, *, always: bool = False
-) -> Flights:
-    """Flights with one more input, `on` (flights, time), and the `price` (flights,) of its windows.
+def with_load(flights: Flights, on: FloatArray, *, always: bool = False) -> Flights:
+    """Flights with one more input, `on` (flights, time), of an unlogged load.
 
     As they were where it is on nowhere, unless `always`.
     """
@@ -77,7 +74,7 @@ def with_load(
     names = (*signals.inputs, UNLOGGED), (*signals.active, UNLOGGED)
     more = replace(signals, inputs=names[0], active=names[1])
     u = np.concatenate([flights.u, on[..., None]], axis=2)
-    return replace(flights, signals=more, u=u, price=price)
+    return replace(flights, signals=more, u=u)
 
 
 class Emulator(Protocol):

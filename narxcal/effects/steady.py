@@ -15,16 +15,17 @@ from narxcal.effects.base import (
     Effect,
     LoadEffect,
     OutputEffect,
+    Pace,
     PacedEffect,
     Parameter,
     Run,
     SettledEffect,
     Side,
     Signals,
+    as_simulated,
     unit,
 )
-from narxcal.effects.memory import Lag
-from narxcal.effects.pace import Pace, as_simulated
+from narxcal.effects.operators import lag
 from narxcal.support.arrays import FloatArray
 
 UNLOGGED = "unlogged"  # input column that holds the windows found by their change points
@@ -43,7 +44,7 @@ class ShapedEffect(Effect):
 
     @abstractmethod
     def shapes(self, run: Run, y: FloatArray) -> dict[str, FloatArray]:
-        """Values (batch, time) of each shape over a block of outputs."""
+        """Values (batch, time) of each shape for outputs `y`."""
 
     def parameters(self, signals: Signals) -> tuple[Parameter, ...]:
         """The parameters that bend the shapes, then the amplitudes, within an output's range."""
@@ -75,10 +76,9 @@ def _amplitude(signals: Signals, shape: str, output: str) -> Parameter:
     return Parameter(f"{shape}_{output}", unit(output), -width, width, 0.0, linear=True)
 
 
-def _followed(run: Run, name: str, target: FloatArray, tau_s: float | FloatArray) -> FloatArray:
-    """First-order lag of `target` (batch, time), settled at its first value."""
-    lag = Lag(np.broadcast_to(tau_s, len(target)), run.signals.dt_s)
-    return run.memory.setdefault(name, lag)(target)
+def _followed(run: Run, target: FloatArray) -> FloatArray:
+    """What the engine takes up of a switch `target` (batch, time)."""
+    return lag(target, np.full(len(target), FOLLOW_S), run.signals.dt_s)
 
 
 class TakingEffect(OffsetEffect, LoadEffect):
@@ -125,10 +125,7 @@ class BleedExtraction(TakingEffect):
         """The followed switches, half at idle and whole at full power."""
         power = 0.5 + 0.5 * np.clip(run.signals.power(y), 0.0, 1.0)
         names = [name for name in SWITCHES if name in run.signals.active]
-        at = run.signals.u
-        return {
-            name: power * _followed(run, name, run.u[..., at(name)], FOLLOW_S) for name in names
-        }
+        return {name: power * _followed(run, run.u[..., run.signals.u(name)]) for name in names}
 
 
 class UnloggedSwitch(TakingEffect):
@@ -145,7 +142,7 @@ class UnloggedSwitch(TakingEffect):
 
     def shapes(self, run: Run, y: FloatArray) -> dict[str, FloatArray]:  # noqa: ARG002 - a load takes the same at any power
         """The followed windows."""
-        return {"on": _followed(run, "on", run.u[..., run.signals.u(UNLOGGED)], FOLLOW_S)}
+        return {"on": _followed(run, run.u[..., run.signals.u(UNLOGGED)])}
 
 
 class Deterioration(OffsetEffect):
@@ -262,7 +259,6 @@ class HeatSoak(OffsetEffect, PacedEffect):
 
     def shapes(self, run: Run, y: FloatArray) -> dict[str, FloatArray]:
         """What the metal lacks, in the unit of the temperature (or of the last output)."""
-        hot = y[..., run.signals.hot]
-        blades = _followed(run, "blades", hot, run.theta[:, 1])
-        trail = blades - _followed(run, "metal", hot, run.theta[:, 0])
+        hot, dt_s = y[..., run.signals.hot], run.signals.dt_s
+        trail = lag(hot, run.theta[:, 1], dt_s) - lag(hot, run.theta[:, 0], dt_s)
         return {"share": trail * (0.5 + 0.5 * np.clip(run.signals.power(y), 0.0, 1.0))}

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from narxcal.effects import Flights, Signals, candidates
-from narxcal.effects.base import LoadEffect, OutputEffect, PacedEffect, RateEffect
-from narxcal.effects.pace import as_simulated
-from narxcal.effects.sensor_side import SensorEffect
+from narxcal.effects.base import LoadEffect, OutputEffect, PacedEffect, RateEffect, as_simulated
+from narxcal.effects.signal_path import SensorEffect
 
 INPUTS = ("TRA_deg", "ALT_ft", "Mach", "dT_C", "Approach", "ECS", "NAI", "WAI", "unlogged")
 OUTPUTS = ("N1_pct", "N2_pct", "EGT_C", "FF_kgph")

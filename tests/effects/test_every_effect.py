@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from narxcal.effects import Flights, effect, respond
-from narxcal.effects.base import InputEffect, LoadEffect, OutputEffect, Run
+from narxcal.effects.base import LoadEffect, Run
 
 
 def test_at_its_neutral_value_it_leaves_every_bit(acting, neutral, flights, engine):
@@ -61,19 +61,6 @@ def test_what_fills_a_flight_up_changes_nothing_before(acting, sized, flights, e
     filled = respond([setting], Flights(signals, u, y, lengths), engine)
     cut = respond([setting], Flights(signals, u[:, :n], y[:, :n], lengths), engine)
     np.testing.assert_array_equal(filled[:, :, :n], cut)
-
-
-def test_sample_by_sample_it_does_what_it_does_to_the_whole_log(acting, sized, flights):
-    theta = np.repeat(sized(acting), 3, axis=0)
-    hooks = ((InputEffect, "on_input", flights.u), (OutputEffect, "on_output", flights.y))
-    for kind, hook, values in hooks:
-        if isinstance(acting, kind):
-            whole = getattr(acting, hook)(Run(flights.signals, theta, flights.u), values)
-            run, found = Run(flights.signals, theta, flights.u), []
-            for k in range(values.shape[1]):
-                run.u = flights.u[:, k : k + 1]
-                found.append(getattr(acting, hook)(run, values[:, k : k + 1]))
-            np.testing.assert_array_equal(np.concatenate(found, axis=1), whole)
 
 
 def test_a_sensor_leaves_all_other_channels_alone(sensor, sized, flights):

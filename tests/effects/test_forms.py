@@ -7,9 +7,8 @@ import pytest
 
 from narxcal.atmosphere import air_state
 from narxcal.effects import Flights, effect, respond
-from narxcal.effects.base import Run
-from narxcal.effects.memory import Lag, SmoothDelay, SmoothLag
-from narxcal.effects.pace import as_simulated, together
+from narxcal.effects.base import Run, as_simulated, together
+from narxcal.effects.operators import lag, smooth_delay, smooth_lag
 
 DT = 0.125
 SPEEDS = ("N1_pct", "N2_pct")
@@ -86,7 +85,7 @@ def test_where_fuel_drives_a_slow_valve_is_one_lag_of_all_outputs(flights):
     run = Run(signals, np.full((len(y), 1), 0.6), flights.u)
     found = effect("actuator_lag").on_output(run, y)
     for j in range(2):
-        np.testing.assert_array_equal(found[..., j], Lag(np.full(len(y), 0.6), DT)(y[..., j]))
+        np.testing.assert_array_equal(found[..., j], lag(y[..., j], np.full(len(y), 0.6), DT))
 
 
 def test_heat_that_metal_takes_is_acceleration_that_the_core_lacks(flights):
@@ -119,7 +118,7 @@ def test_outside_the_loop_a_slow_valve_is_one_lag_of_all_outputs(outside, lag_s,
     run = Run(flights.signals, theta, flights.u)
     found = effect("actuator_lag").on_output(run, flights.y)
     for j in range(flights.y.shape[-1]):
-        lagged = Lag(np.full(len(flights.y), lag_s), DT)(flights.y[..., j])
+        lagged = lag(flights.y[..., j], np.full(len(flights.y), lag_s), DT)
         np.testing.assert_array_equal(found[..., j], lagged)
 
 
@@ -221,23 +220,23 @@ def test_a_channel_recorded_late_is_the_channel_earlier(flights):
     found = added(effect("time_skew:N1_pct"), flights, skew_s=4 * DT) + flights.y
     np.testing.assert_allclose(found[:, 4:, 0], flights.y[:, :-4, 0])
     part = added(effect("time_skew:N1_pct"), flights, skew_s=0.3) + flights.y
-    late = SmoothDelay(np.full(3, 0.3), DT)(flights.y[..., 0])
+    late = smooth_delay(flights.y[..., 0], np.full(3, 0.3), DT)
     np.testing.assert_allclose(part[..., 0], late)
 
 
 def test_a_lagging_probe_lags_its_channel(flights):
     found = added(effect("sensor_lag:EGT_C"), flights, tau_s=1.7) + flights.y
-    np.testing.assert_allclose(found[..., 2], SmoothLag(np.full(3, 1.7), DT)(flights.y[..., 2]))
+    np.testing.assert_allclose(found[..., 2], smooth_lag(flights.y[..., 2], np.full(3, 1.7), DT))
 
 
 def test_a_slower_probe_takes_the_place_of_the_one_in_the_simulator(flights):
     own, tau, signals = 0.8, 1.5, flights.signals
     value = flights.y[..., 2]
     y = flights.y.copy()
-    y[..., 2] = Lag(np.full(3, own), DT)(value)
+    y[..., 2] = lag(value, np.full(3, own), DT)
     of = Flights(signals, flights.u, y, flights.lengths)
     found = respond([(effect("sensor_lag:EGT_C"), np.array([[tau, own]]))], of, None)[0, ..., 2]
-    slower = Lag(np.full(3, own + tau), DT)(value)
+    slower = lag(value, np.full(3, own + tau), DT)
     np.testing.assert_allclose(found, slower, atol=0.01 * np.ptp(value))
 
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from narxcal import two_spool
-from narxcal.effects.pace import Pace, as_simulated
+from narxcal.effects.base import Pace, as_simulated
 from narxcal.two_spool import (
     DAMP,
     DOWN,

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from narxcal.effects.library import LIBRARY
-from narxcal.effects.memory import Lag
+from narxcal.effects.operators import lag
 from narxcal.effects.running import with_load
 from narxcal.effects.steady import FOLLOW_S, UnloggedSwitch
 from narxcal.support.arrays import BoolArray, FloatArray
@@ -205,7 +205,7 @@ class _Blocks:
             p for p in effect.parameters(with_load(flights, inside).signals) if p.linear
         )
         rows = np.zeros((1 + len(parameters), *flights.y.shape), dtype=np.float32)
-        follows = Lag(np.full(len(on), FOLLOW_S), signals.dt_s)(inside)
+        follows = lag(inside, np.full(len(on), FOLLOW_S), signals.dt_s)
         for k in range(len(parameters)):
             rows[1 + k, ..., k] = follows
         box = np.array([(p.low, p.high) for p in parameters])

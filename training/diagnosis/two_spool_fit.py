@@ -16,7 +16,7 @@ from scipy.optimize import least_squares, minimize_scalar
 from scipy.signal import lfilter
 
 from narxcal import two_spool
-from narxcal.effects.pace import as_simulated
+from narxcal.effects.base import as_simulated
 from narxcal.support.arrays import FloatArray
 from narxcal.two_spool import (
     DAMP,
@@ -133,7 +133,6 @@ class _Rotors:
         self._every = max(1, round(_EVERY_S / rotors.dt_s))
         # Errors are weighted so that all within a second count as one observation.
         self.root = float(np.sqrt(self._every * rotors.dt_s / _INDEPENDENT_S))
-        self._weight = rotors.inside[..., None] * (self.root / _TOLERANCE) / rotors.span
 
     def errors(self, z: FloatArray) -> FloatArray:
         """Weighted errors, then z itself for the priors."""
@@ -161,8 +160,10 @@ class _Rotors:
             (blank.dt_s, blank.low, blank.span, blank.governed, 1),
         )
         wrong = y.reshape(len(z), *rotors.y.shape)[:, :, :: self._every]
-        wrong -= rotors.y[:, :: self._every]
-        wrong *= self._weight[:, :: self._every]
+        wrong -= rotors.y[:, :: self._every]  # in place: these arrays are the largest of a fit
+        wrong *= rotors.inside[:, :: self._every, None]
+        wrong /= rotors.span
+        wrong *= self.root / _TOLERANCE
         return np.concatenate([wrong.reshape(len(z), -1), z * self.root], axis=1)
 
 

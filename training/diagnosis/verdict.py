@@ -17,21 +17,32 @@ from training.diagnosis import load as unlogged
 from training.diagnosis.budget import (
     Budget,
     Interval,
+    Joint,
     Phases,
     Verdict,
     Weighed,
+    by_others,
     causes_of,
     credible,
     gap_share,
+    interval,
+    together,
 )
 from training.diagnosis.dictionary import Dictionary
 from training.diagnosis.discrepancy import Discrepancy
 from training.diagnosis.fit import Frame, Single, no_columns, solve
-from training.diagnosis.joint import Joint, by_others, interval, together
-from training.diagnosis.layers import PER_PARAMETER, Layer, Setting, candidate, further
+from training.diagnosis.layers import (
+    PER_PARAMETER,
+    Layer,
+    Odds,
+    Setting,
+    candidate,
+    features,
+    further,
+    stored_odds,
+)
 from training.diagnosis.metric import TOLERANCE, Metric, Record, assumed_variance
 from training.diagnosis.nuisances import BUILD, nuisances
-from training.diagnosis.odds import Odds, features, stored_odds
 
 _SURE: Final = 0.5  # probability below which the first effect is not named alone
 _SHORT_S: Final = 600.0  # twice what one unit of a flight is at least

@@ -34,8 +34,15 @@ from eval.diagnosis.pairs import read_pairs
 from narxcal.support.arrays import BoolArray, FloatArray
 from training.diagnosis.emulator import choose_control, fit_emulators
 from training.diagnosis.fit import Single
-from training.diagnosis.layers import compound_fits
-from training.diagnosis.odds import FEATURES, OF_CASE, Odds, features, log_odds, prior
+from training.diagnosis.layers import (
+    FEATURES,
+    OF_CASE,
+    Odds,
+    compound_fits,
+    features,
+    log_odds,
+    prior,
+)
 from training.diagnosis.verdict import Engines, weigh
 
 RIDGE: Final = 0.1

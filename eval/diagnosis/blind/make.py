@@ -1,14 +1,33 @@
-"""Makes the cases of a blind test: logs of both engines in a folder each, and the sealed key."""
+"""Makes the cases of a blind test: logs of both engines in a folder each, and the sealed key.
+
+Sizes of effects come to a wanted share of the gap,
+
+    g = 1 - MSE(recorded - (simulated with the effect)) / MSE(recorded - simulated)
+
+The MSE of a channel counts over the square of its simulated range, channels alike. The true budget
+is a Shapley mean (L. S. Shapley, 1953) over the orders in which effects, build and offsets enter,
+on re-simulations without noise, `offsets` being the mean error of the recording in each flight:
+
+    share_k = sum_S |S|! (n - |S| - 1)! / n! (v(S) - v(S + k)) / MSE(recorded - simulated)
+
+where v(S) is the MSE of what is true less the simulator with the causes S. What they leave is
+unexplained: another structure, and what is in no library; the rest of the recording's error is
+noise. All shares sum to 1; one below 0 opposes the others.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Sequence
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
+from itertools import combinations
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
-from eval.diagnosis.blind.cases import BlindPlan, Case, draw_cases
+import numpy as np
+
+from eval.diagnosis.blind.cases import BlindPlan, Case, Dose, draw_cases
 from eval.diagnosis.blind.files import (
     CASES,
     FOLDERS,
@@ -19,12 +38,165 @@ from eval.diagnosis.blind.files import (
     sealed,
     write_log,
 )
-from eval.diagnosis.blind.shares import budget, gap_share, sized
-from eval.diagnosis.blind.truth import Channels, Content, Specimen
+from eval.diagnosis.blind.truth import NOTHING, Channels, Content, Specimen, outputs_of
+from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ModelError
 from narxcal.support.files import atomic_write_bytes, atomic_write_text
 from narxcal.support.parallel import in_processes
 from narxcal.support.progress import Progress, silent
+
+_TRIES: Final = 3
+_CLOSE: Final = 0.1  # of the energy: the next size will do
+_LEAST: Final = 1e-3  # of the energy aimed at: the size does nothing yet
+_SMALLEST: Final = 0.03  # of the first size
+Measure = Callable[[float], float]
+
+
+def ranges(simulated: Sequence[Channels]) -> dict[str, float]:
+    """Range of each output over all simulated flights."""
+    return {
+        name: max(max(np.nanmax(s[name]) for s in simulated) - low, 1e-9)
+        for name in outputs_of(simulated[0])
+        for low in [min(np.nanmin(s[name]) for s in simulated)]
+    }
+
+
+def energy(one: Channels, other: Channels, spans: Mapping[str, float]) -> float:
+    """Mean over the outputs of the squared difference, in squares of their ranges."""
+    return float(np.mean(_squares(one, other, spans)))
+
+
+def _squares(one: Channels, other: Channels, spans: Mapping[str, float]) -> FloatArray:
+    """Mean squared difference of each output, in squares of its range: `(outputs,)`."""
+    return np.array([np.nanmean((one[n] - other[n]) ** 2) / spans[n] ** 2 for n in spans])
+
+
+def gap_share(
+    recorded: Sequence[Channels],
+    simulated: Sequence[Channels],
+    with_it: Sequence[Channels],
+) -> float:
+    """Share of the squared gap that the true content takes away: `with_it` is simulated with it."""
+    spans = ranges(simulated)
+    before = sum(energy(r, s, spans) for r, s in zip(recorded, simulated, strict=True))
+    after = sum(energy(r, t, spans) for r, t in zip(recorded, with_it, strict=True))
+    return 1.0 - after / before if before > 0.0 else 0.0
+
+
+def sized(specimen: Any, flights: Sequence[Any], simulated: Sequence[Channels]) -> Content:
+    """Give the case's content the sizes that come to its share on some flights.
+
+    Several effects get equal parts. A share that the largest size does not make is left at that.
+    """
+    case = specimen.case
+    if case.kind == "null":
+        return NOTHING
+    spans = ranges(simulated)
+    recorded = [specimen.both(flight, NOTHING)[1] for flight in flights]
+    rest = sum(energy(r, s, spans) for r, s in zip(recorded, simulated, strict=True))
+    wanted = rest * case.share / (1.0 - case.share)
+
+    def measured(content: Content) -> float:
+        # By itself: what it shares with the errors of the base would make it look larger.
+        with_it = [specimen.simulated(flight, content) for flight in flights]
+        return sum(energy(t, s, spans) for t, s in zip(with_it, simulated, strict=True))
+
+    if case.strange is not None:
+        size = size_for(lambda s: measured(Content(strange=s)), wanted, case.strange[3:5])
+        return Content(strange=size)
+    doses = []
+    for scale, sign in zip(case.effects, case.signs, strict=True):
+
+        def alone(size: float, dose: Dose = Dose(scale, sign)) -> float:  # noqa: B008 - bound now
+            return measured(Content((dose._replace(size=dose.size * size),)))
+
+        part = wanted / len(case.effects)
+        doses.append(Dose(scale, sign * size_for(alone, part, (scale.first, scale.most))))
+    return Content(tuple(doses))
+
+
+def size_for(measured: Measure, wanted: float, sizes: tuple[float, float]) -> float:
+    """Size, up to the second of `sizes`, whose energy is as wanted: few tries from the first.
+
+    Energies go with a power of the size, about the second; the power is taken from the last two.
+    """
+    size, most = sizes
+    least = _SMALLEST * size
+    power, last = 2.0, (0.0, 0.0)
+    for _ in range(_TRIES):
+        made = measured(size)
+        if made < _LEAST * wanted:
+            if size >= most:
+                return most
+            size = min(3.0 * size, most)
+            continue
+        if last[1] > 0.0 and abs(math.log(size / last[0])) > 0.02:
+            power = math.log(made / last[1]) / math.log(size / last[0])
+        last = (size, made)
+        size = size * (wanted / made) ** (1.0 / min(max(power, 0.7), 4.0))
+        size = min(max(size, least), most)
+        if abs(math.log(wanted / made)) < _CLOSE:
+            break
+    return size
+
+
+def budget(
+    specimen: Any,
+    flights: Sequence[Any],
+    content: Content,
+    simulated: Sequence[Channels],
+    real: Sequence[tuple[Channels, Channels]],
+) -> dict[str, dict[str, Any]]:
+    """Give the true budget of a case on some flights: cause -> its share, and that by channel.
+
+    Causes are the effects by name, `build`, `offsets`, `noise` and `unexplained`. `real` are true
+    and recorded channels, `simulated` those of the simulator as it is.
+    """
+    spans = ranges(simulated)
+    players = [*(dose.scale.name for dose in content.doses), "build", "offsets"]
+    shifted = [{n: t[n] + np.nanmean(r[n] - t[n]) for n in spans} for t, r in real]
+    models: dict[frozenset[str], Sequence[Channels]] = {frozenset(): simulated}
+
+    def left(entered: frozenset[str]) -> FloatArray:
+        inside = entered - {"offsets"}
+        if inside not in models:
+            doses = tuple(dose for dose in content.doses if dose.scale.name in inside)
+            built = "build" in inside
+            models[inside] = [specimen.simulated(f, Content(doses), built=built) for f in flights]
+        true = [each[0] for each in real] if "offsets" in entered else shifted
+        each = [_squares(t, m, spans) for t, m in zip(true, models[inside], strict=True)]
+        return np.asarray(np.mean(each, axis=0))
+
+    values = {
+        frozenset(s): left(frozenset(s))
+        for size in range(len(players) + 1)
+        for s in combinations(players, size)
+    }
+    found = {name: _shapley(name, values, len(players)) for name in players}
+    found["unexplained"] = values[frozenset(players)]
+    whole = [_squares(r[1], s, spans) for r, s in zip(real, simulated, strict=True)]
+    total = np.mean(whole, axis=0)
+    found["noise"] = total - values[frozenset()]
+    scale = max(float(total.sum()), 1e-300)
+    return {
+        name: {
+            "share": float(each.sum()) / scale,
+            "channels": dict(zip(spans, (each / scale).tolist(), strict=True)),
+        }
+        for name, each in found.items()
+    }
+
+
+def _shapley(name: str, values: Mapping[frozenset[str], FloatArray], n: int) -> FloatArray:
+    """What one cause takes away, on average over the orders in which the `n` causes enter."""
+    own = [
+        (without, math.factorial(len(without)) * math.factorial(n - len(without) - 1))
+        for without in values
+        if name not in without
+    ]
+    parts = [count * (values[s] - values[s | {name}]) for s, count in own]
+    return np.asarray(np.sum(parts, axis=0) / math.factorial(n))
+
 
 _SIZED_ON = 2  # flights: their days differ
 

@@ -8,10 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eval.diagnosis.applied import EMULATED, INPUTS, OUTPUTS, SHIFTED, FoundEffects, read_effects
+from eval.diagnosis.applied import (
+    EMULATED,
+    INPUTS,
+    OUTPUTS,
+    SHIFTED,
+    FoundEffects,
+    read_effects,
+    signals_to_json,
+)
 from eval.diagnosis.simulators import open_simulator
-from eval.diagnosis.stored_emulator import signals_to_json
-from narxcal.effects.memory import Delay, Lag, Play
+from narxcal.effects.operators import delay, lag, play
 from narxcal.support.errors import ConfigError, DataError, ModelError
 
 
@@ -213,19 +220,15 @@ def test_of_two_flights_of_one_name_no_window_is_known(tmp_path, signals):
 def simulate(log):
     """A simulator that can be run again: N1 with a lag, the others at once."""
     lever = log["TRA_deg"] / 70.0
-    lagged = Lag(np.array([1.5]), log.dt_s)(lever[None])[0]
+    lagged = lag(lever[None], np.array([1.5]), log.dt_s)[0]
     found = {"N1_pct": 25.0 + 75.0 * lagged, "N2_pct": 55.0 + 45.0 * lever}
     return {**found, "EGT_C": 400.0 + 350.0 * lever, "FN_kN": 30.0 * lagged}
-
-
-def through(operator, lever):
-    return operator(lever[None])[0]
 
 
 def test_a_simulator_that_can_be_run_again_is_told_what_arrives(signals, fly, log_of):
     log = log_of(fly(3, rate_hz=5.0))  # any rate will do where no emulator is asked
     found = FoundEffects({"throttle_backlash": {"width_deg": 4.0}}, signals, None)
-    arrives = through(Play(np.array([4.0])), log["TRA_deg"])
+    arrives = play(log["TRA_deg"][None], np.array([4.0]))[0]
     expected = simulate(log.with_channels({"TRA_deg": arrives}))
     outputs = found.run_again(log, simulate)
     for name, values in expected.items():
@@ -249,11 +252,11 @@ def test_readings_are_changed_behind_the_simulator(signals, fly, log_of):
     log = log_of(fly(3, rate_hz=32.0))
     values = {"throttle_delay": {"delay_s": 0.5}, "time_skew:EGT_C": {"skew_s": 0.3125}}
     outputs = FoundEffects(values, signals, None).run_again(log, simulate)
-    late = through(Delay(np.array([0.5]), log.dt_s), log["TRA_deg"])
+    late = delay(log["TRA_deg"][None], np.array([0.5]), log.dt_s)[0]
     expected = simulate(log.with_channels({"TRA_deg": late}))
-    skew = Delay(np.array([0.3125]), log.dt_s)
+    skewed = delay(expected["EGT_C"][None], np.array([0.3125]), log.dt_s)[0]
     np.testing.assert_array_equal(outputs["N1_pct"], expected["N1_pct"])
-    np.testing.assert_allclose(outputs["EGT_C"], through(skew, expected["EGT_C"]), rtol=1e-9)
+    np.testing.assert_allclose(outputs["EGT_C"], skewed, rtol=1e-9)
 
 
 class Halving:
@@ -366,7 +369,7 @@ def test_an_fmu_is_run_again_with_the_effect_on_its_inputs(tmp_path, signals, fl
     one = signals_of_n1(signals)
     found = FoundEffects({"throttle_backlash": {"width_deg": 6.0}}, one, None)
     outputs = found.run_again(log, fmu)
-    arrives = through(Play(np.array([6.0])), log["TRA_deg"])
+    arrives = play(log["TRA_deg"][None], np.array([6.0]))[0]
     np.testing.assert_allclose(
         outputs["N1_pct"][20:], fmu(log.with_channels({"TRA_deg": arrives}))["N1_pct"][20:]
     )

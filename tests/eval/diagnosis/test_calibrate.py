@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from eval.diagnosis.blind.calibrate import Choice, fit, fitted, left_out, read_case, written
-from training.diagnosis.odds import FEATURES, OF_CASE, stored_odds
+from training.diagnosis.layers import FEATURES, OF_CASE, stored_odds
 
 EFFECTS = ("a", "b", "c")
 

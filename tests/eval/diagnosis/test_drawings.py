@@ -5,7 +5,7 @@ import pytest
 
 from eval.diagnosis.drawings import drawing
 from narxcal.effects import LIBRARY, Signals, effect
-from narxcal.effects.sensor_side import SensorEffect
+from narxcal.effects.signal_path import SensorEffect
 from training.diagnosis.budget import Interval
 
 INPUTS = ("TRA_deg", "ALT_ft", "Mach", "dT_C", "Approach", "ECS", "NAI", "WAI", "unlogged")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eval.diagnosis.stored_emulator import read_emulator, write_emulator
+from eval.diagnosis.applied import read_emulator, write_emulator
 from narxcal.support.errors import ModelError
 from training.diagnosis.emulator import fit_emulators
 

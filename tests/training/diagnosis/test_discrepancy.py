@@ -11,8 +11,7 @@ from narxcal.effects import effect, respond
 from tests.training.diagnosis.conftest import flights_of, recorded
 from training.diagnosis.dictionary import Dictionary
 from training.diagnosis.discrepancy import BANDS, learn, read
-from training.diagnosis.layers import Setting, further
-from training.diagnosis.odds import stored_odds
+from training.diagnosis.layers import Setting, further, stored_odds
 
 NAMES = [
     f"{kind}:{channel}"

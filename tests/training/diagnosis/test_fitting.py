@@ -7,13 +7,12 @@ import pytest
 
 from narxcal.effects import effect, respond
 from tests.training.diagnosis.conftest import recorded
+from training.diagnosis.budget import together
 from training.diagnosis.dictionary import Dictionary
 from training.diagnosis.fit import Frame
-from training.diagnosis.joint import together
-from training.diagnosis.layers import Layer, Setting, further
+from training.diagnosis.layers import Layer, Setting, further, stored_odds
 from training.diagnosis.metric import Metric, assumed_variance
 from training.diagnosis.nuisances import nuisances
-from training.diagnosis.odds import stored_odds
 
 NAMES = [
     f"{kind}:{channel}"

@@ -9,16 +9,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from narxcal.effects import effect
-from narxcal.effects.memory import Lag
+from narxcal.effects.operators import lag
 from narxcal.effects.steady import FOLLOW_S
 from tests.training.diagnosis.conftest import recorded
 from training.diagnosis import load
 from training.diagnosis.dictionary import Dictionary
 from training.diagnosis.fit import Frame
-from training.diagnosis.layers import Setting
+from training.diagnosis.layers import Setting, features, stored_odds
 from training.diagnosis.metric import Metric, assumed_variance
 from training.diagnosis.nuisances import nuisances
-from training.diagnosis.odds import features, stored_odds
 from training.diagnosis.verdict import Evidence, Phases, concluded
 
 
@@ -52,7 +51,7 @@ def test_intervals_of_edges_hold_the_true_ones(flights):
     on = np.zeros(flights.y.shape[:2], dtype=bool)
     on[0, 301:703], on[1, 101:421] = True, True
     true = [[301, 703], [101, 421], [], []]
-    follows = Lag(np.full(4, FOLLOW_S), 0.25)(on.astype(float))
+    follows = lag(on.astype(float), np.full(4, FOLLOW_S), 0.25)
     widths = []
     for size in (1.0, 0.2):
         shift = size * np.array([0.0, 0.8, 25.0])

@@ -9,9 +9,9 @@ from narxcal.effects import effect
 from tests.training.diagnosis.conftest import recorded
 from training.diagnosis.dictionary import Dictionary
 from training.diagnosis.fit import Frame
+from training.diagnosis.layers import FEATURES, OF_CASE, Odds, features, prior, stored_odds
 from training.diagnosis.metric import Metric, assumed_variance
 from training.diagnosis.nuisances import nuisances
-from training.diagnosis.odds import FEATURES, OF_CASE, Odds, features, prior, stored_odds
 
 
 def test_probabilities_are_one_softmax_over_effects_none_and_unknown():

@@ -10,9 +10,17 @@ import pytest
 from eval.diagnosis.blind import truth
 from eval.diagnosis.blind.cases import CATALOGUE, Base, BlindPlan, Case, Dose, draw_cases
 from eval.diagnosis.blind.files import open_key, read_cases
-from eval.diagnosis.blind.make import make_case, make_cases
+from eval.diagnosis.blind.make import (
+    budget,
+    energy,
+    gap_share,
+    make_case,
+    make_cases,
+    ranges,
+    size_for,
+    sized,
+)
 from eval.diagnosis.blind.outside import CYCLE, DEADBAND, STRANGE, applied
-from eval.diagnosis.blind.shares import budget, energy, gap_share, ranges, size_for, sized
 from eval.diagnosis.blind.truth import Content, Specimen
 from eval.diagnosis.pairs import read_pairs
 from narxcal.support.errors import ConfigError, DataError, ModelError

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eval.diagnosis.blind.page import render, shown, tables
 from eval.diagnosis.blind.score import (
     FIVE,
     calibration_error,
@@ -15,8 +14,11 @@ from eval.diagnosis.blind.score import (
     five,
     mean,
     rate,
+    render,
     scored,
+    shown,
     table,
+    tables,
 )
 
 FAILED = {"schema": "narxcal.blind_failed/1", "kind": "timeout", "reason": "was stopped"}

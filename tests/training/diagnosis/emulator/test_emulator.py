@@ -7,7 +7,7 @@ import pytest
 
 from narxcal import two_spool
 from narxcal.effects import Flights, effect
-from narxcal.effects.pace import as_simulated
+from narxcal.effects.base import as_simulated
 from narxcal.effects.running import Shift, respond
 from narxcal.support.errors import DataError
 from tests.training.diagnosis.emulator.conftest import simulate

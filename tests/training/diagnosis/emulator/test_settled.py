@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from narxcal.effects import Flights, Signals
-from training.diagnosis.settled import corrected, fit_settled
+from training.diagnosis.emulator import corrected, fit_settled
 
 INPUTS = ("TRA_deg", "ALT_ft", "Mach", "dT_C", "Approach", "NAI")
 OUTPUTS = ("N1_pct", "N2_pct", "EGT_C")
