@@ -30,7 +30,7 @@ from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.calibration import Calibration
 from narxcal.effects import effect
 from narxcal.effects.base import Run, Signals
-from narxcal.effects.sensor_side import SensorEffect
+from narxcal.effects.signal_path import SensorEffect
 from narxcal.flight_test.fly import fly
 from narxcal.flight_test.scenario import FlightScenario
 from narxcal.support.arrays import FloatArray

@@ -1,22 +1,25 @@
 """Where the gap lies: its energy above the noise floor, bin by bin, and how sure that is.
 
 The energy of a sample is its squared gap over `noise^2 + (0.001 range)^2` of the channel, the
-weights by which effects are fitted; what noise alone would give is taken off bin by bin.
-Intervals are by bootstrap over flights.
+weights by which effects are fitted; what noise alone would give is taken off bin by bin. Further
+measures are shares of bands of frequencies and Theil's split. Intervals are by bootstrap over
+flights.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from scipy.signal import csd, welch
 
 from data_prep.events import Event
+from eval.diagnosis.expected import TimeErrors, time_errors
 from eval.diagnosis.flights import MOVES, Bins, GapData, events_of, sort_samples
-from eval.diagnosis.measures import Band, Theil, TimeErrors, bands_of, theil_of, time_errors
-from narxcal.support.arrays import FloatArray
+from narxcal.support.arrays import FloatArray, bridge_gaps
 from training.diagnosis.budget import Interval
 from training.diagnosis.metric import TOLERANCE
 
@@ -105,7 +108,7 @@ class Where:
     regimes: Mapping[str, Mapping[str, Interval]] = field(default_factory=dict)
 
 
-def locate(data: GapData, explained: FloatArray | None = None, seed: int = 0) -> Where:
+def locate(data: GapData, explained: FloatArray | None = None) -> Where:
     """Say where the gap lies.
 
     `explained` (flights, time, outputs) is what effects change, zero for none: nuisances that fit
@@ -116,7 +119,7 @@ def locate(data: GapData, explained: FloatArray | None = None, seed: int = 0) ->
     bins = sort_samples(data, events)
     gap = data.gap if explained is None else without_nuisances(data, explained)
     energy = _Energy(data, bins, gap)
-    shares = energy.drawn(np.random.default_rng(seed))
+    shares = energy.drawn()
     outputs = data.flights.signals.outputs
     totals = shares.sum(axis=2)
     return Where(
@@ -128,7 +131,7 @@ def locate(data: GapData, explained: FloatArray | None = None, seed: int = 0) ->
         times=time_errors(data, data.flights.y, events),
         side=side_of(data, gap, shares[0].sum(axis=1)),
         events=events,
-        regimes=energy.drawn_regimes(np.random.default_rng(seed)),
+        regimes=energy.drawn_regimes(),
     )
 
 
@@ -186,6 +189,7 @@ class _Energy:
         self.sample = (gap / scale) ** 2  # NaN where unknown
         self.units = _units(data)
         count = int(self.units.max()) + 1
+        self.weights = _drawn(count)
         shape = (count, len(scale), len(MOVES))
         self.total, self.samples = np.zeros(shape), np.zeros(shape)
         for k in range(len(scale)):
@@ -210,28 +214,21 @@ class _Energy:
         whole = excess.sum()
         return np.asarray(excess / whole if whole > 0.0 else excess)
 
-    def drawn(self, rng: np.random.Generator) -> FloatArray:
+    def drawn(self) -> FloatArray:
         """Shares (1 + draws, outputs, moves): those found, then those of resampled flights."""
-        return np.stack([self.shares(each) for each in self._weights(rng)])
+        return np.stack([self.shares(each) for each in self.weights])
 
-    def drawn_regimes(self, rng: np.random.Generator) -> dict[str, dict[str, Interval]]:
+    def drawn_regimes(self) -> dict[str, dict[str, Interval]]:
         """Share of all energy in each level of each regime; none where nothing is above noise."""
         above = np.nansum(self.sample - self.floor, axis=-1)
         inside = self.bins.move >= 0
-        weights, found = self._weights(rng), {}
+        found = {}
         for name, (levels, index) in self.bins.regimes.items():
-            parts = np.zeros((weights.shape[1], len(levels)))
+            parts = np.zeros((len(self.total), len(levels)))
             np.add.at(parts, (self.units[inside], index[inside]), above[inside])
-            drawn = np.maximum(weights @ parts, 0.0)
-            shares = drawn / np.maximum(drawn.sum(axis=1, keepdims=True), 1e-300)
+            shares = _shares(self.weights @ parts)
             found[name] = {level: _interval(shares[:, k]) for k, level in enumerate(levels)}
         return found
-
-    def _weights(self, rng: np.random.Generator) -> FloatArray:
-        """How often each unit counts, (1 + draws, units): once as found, then drawn anew."""
-        count = len(self.total)
-        draws = rng.multinomial(count, np.full(count, 1.0 / count), size=_DRAWS)
-        return np.concatenate([np.ones((1, count)), draws])
 
     def regimes(self, output: int, move: int) -> dict[str, dict[str, float]]:
         """How the energy of one bin divides over the levels of each regime."""
@@ -255,6 +252,18 @@ def _units(data: GapData) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
         return flight
     part = np.arange(steps) * _PARTS // data.flights.lengths[:, None]
     return np.asarray(flight * _PARTS + np.minimum(part, _PARTS - 1))
+
+
+def _drawn(count: int) -> FloatArray:
+    """How often each of `count` units counts, (1 + draws, units): as found, then drawn anew."""
+    draws = np.random.default_rng(0).multinomial(count, np.full(count, 1.0 / count), size=_DRAWS)
+    return np.concatenate([np.ones((1, count)), draws])
+
+
+def _shares(energies: FloatArray) -> FloatArray:
+    """Energies (draws, parts) as shares of what each draw holds; none where it holds nothing."""
+    above = np.maximum(energies, 0.0)
+    return np.asarray(above / np.maximum(above.sum(axis=1, keepdims=True), 1e-300))
 
 
 def _interval(draws: FloatArray) -> Interval:
@@ -281,3 +290,118 @@ def _rows(
             direction, phase = MOVES[move]
             rows.append(Row(outputs[output], direction, phase, share, core, regimes, part))
     return tuple(rows)
+
+
+EDGES_HZ = (0.0, 0.03, 0.1, 0.3, 1.0, 1e9)
+_SEGMENT_S = 128.0
+
+
+class Band(NamedTuple):
+    """A band of frequencies: share of the channel's gap energy above the floor, and coherence.
+
+    `low` to `high` is the share's 90 % interval. `coherence` is the part of the gap there that a
+    linear system could make of the driver.
+    """
+
+    low_hz: float
+    high_hz: float
+    share: float
+    coherence: float
+    low: float = 0.0
+    high: float = 1.0
+
+
+def bands_of(data: GapData, gap: FloatArray | None = None) -> dict[str, tuple[Band, ...]]:
+    """Bands of every output, from Welch's spectra averaged over all flights.
+
+    `gap` (flights, time, outputs) takes the place of recorded less simulated.
+    """
+    gap = data.gap if gap is None else gap
+    spectra = _Spectra(data)
+    return {
+        name: spectra.bands(gap[..., k], float(data.noise[k]))
+        for k, name in enumerate(data.flights.signals.outputs)
+    }
+
+
+class _Spectra:
+    def __init__(self, data: GapData) -> None:
+        self.lengths = data.flights.lengths
+        self.weights = _drawn(len(self.lengths))
+        self.rate_hz = 1.0 / data.flights.signals.dt_s
+        signals = data.flights.signals
+        self.driver = data.flights.u[..., signals.u(signals.driver)]
+        self.segment = int(min(_SEGMENT_S * self.rate_hz, self.lengths.min()))
+
+    def bands(self, gap: FloatArray, noise: float) -> tuple[Band, ...]:
+        """Bands of one output's gap (flights, time)."""
+        frequency, cross, own, driver = self._spectra(gap)
+        # White noise spreads its variance evenly over all frequencies up to half the rate.
+        floor = noise**2 / (0.5 * self.rate_hz)
+        weights = self.lengths / self.lengths.sum()
+        excess = weights[:, None] * (own - floor)
+        edges = [edge for edge in EDGES_HZ if edge < 0.5 * self.rate_hz] + [0.5 * self.rate_hz]
+        insides = [(frequency >= low) & (frequency < high) for low, high in pairwise(edges)]
+        energies = np.stack([excess[:, inside].sum(axis=1) for inside in insides], axis=1)
+        shares = _shares(self.weights @ energies)
+        ends = [(0.0, 1.0)] * len(insides)
+        if len(own) > 1:
+            ends = [(each.low, each.high) for each in map(_interval, shares.T)]
+        mean = [(weights[:, None] * each).sum(axis=0) for each in (cross, own, driver)]
+        return tuple(
+            Band(*edge, float(share), _coherence(*(each[inside] for each in mean)), *end)
+            for edge, share, inside, end in zip(
+                pairwise(edges), shares[0], insides, ends, strict=True
+            )
+        )
+
+    def _spectra(self, gap: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Frequencies, and spectra (flights, frequencies): cross, gap's, driver's."""
+        rate, segment = self.rate_hz, self.segment
+        found = []
+        for f, n in enumerate(self.lengths):
+            own, lever = bridge_gaps(gap[f, :n]), self.driver[f, :n] - self.driver[f, :n].mean()
+            frequency, cross = csd(own, lever, rate, nperseg=segment, detrend=False)
+            power = [welch(x, rate, nperseg=segment, detrend=False)[1] for x in (own, lever)]
+            found.append((cross, *power))
+        cross, own, driver = (np.stack([each[k] for each in found]) for k in range(3))
+        return frequency, cross, own, driver
+
+
+def _coherence(cross: FloatArray, own: FloatArray, driver: FloatArray) -> float:
+    both = float((own * driver).sum())
+    return min(1.0, float((np.abs(cross) ** 2).sum()) / both) if both > 0.0 else 0.0
+
+
+class Theil(NamedTuple):
+    """Shares of the mean squared gap, which add up to 1, and Theil's inequality U.
+
+    U is 0 for equal series and at most 1.
+    """
+
+    bias: float
+    variance: float
+    covariance: float
+    inequality: float
+
+
+def theil(real: FloatArray, sim: FloatArray) -> Theil:
+    """Split the gap between two series (time,); samples where either is NaN are left out."""
+    known = np.isfinite(real) & np.isfinite(sim)
+    a, b = real[known], sim[known]
+    mean_square = float(np.mean((a - b) ** 2)) if len(a) else 0.0
+    if mean_square == 0.0:
+        return Theil(0.0, 0.0, 0.0, 0.0)
+    bias = float(a.mean() - b.mean()) ** 2 / mean_square
+    variance = float(a.std() - b.std()) ** 2 / mean_square
+    size = float(np.sqrt(np.mean(a**2)) + np.sqrt(np.mean(b**2)))
+    return Theil(bias, variance, 1.0 - bias - variance, float(np.sqrt(mean_square)) / size)
+
+
+def theil_of(data: GapData) -> dict[str, Theil]:
+    """Theil's split of every output, over all flights as one series."""
+    sim = np.where(np.isfinite(data.real), data.flights.y, np.nan)
+    return {
+        name: theil(data.real[..., k].ravel(), sim[..., k].ravel())
+        for k, name in enumerate(data.flights.signals.outputs)
+    }

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eval.diagnosis.measures import bands_of
+from eval.diagnosis.where import bands_of
 
 
 def test_a_wave_is_in_its_band_and_does_not_follow_the_lever(make_data):

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from eval.diagnosis.measures import theil, theil_of
+from eval.diagnosis.where import theil, theil_of
 
 series = arrays(np.float64, 30, elements=st.floats(-100.0, 100.0))
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from eval.diagnosis.expected import time_errors
 from eval.diagnosis.flights import events_of
-from eval.diagnosis.measures import time_errors
 
 
 def test_a_delay_moves_ti_and_leaves_tt(make_data):
