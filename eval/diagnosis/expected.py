@@ -27,13 +27,12 @@ from data_prep.events import PUSH, Event
 from eval.diagnosis.flights import GapData
 from eval.response import Transient, TransientConfig, measure_transient
 from narxcal.effects.base import Signals
-from narxcal.effects.library import effect
+from narxcal.effects.library import effect, name_of
 from narxcal.effects.running import Emulator, Flights, Setting, respond
 from narxcal.effects.steady import UnloggedSwitch
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError
 from training.diagnosis.budget import Interval
-from training.diagnosis.metric import TOLERANCE
 
 Values = Mapping[str, Mapping[str, float]]  # effect -> parameter -> value
 
@@ -76,10 +75,10 @@ class HeldOut:
 
 def claimed_in(document: Mapping[str, Any]) -> Values:
     """Claimed effects of a document of any schema of narxcal.gap; raises `ConfigError`."""
-    rows = {}
-    for row in document.get("effects", ()):
-        name = row["id"] if row.get("channel") is None else f"{row['id']}:{row['channel']}"
-        rows[name] = {key: float(found["value"]) for key, found in row["parameters"].items()}
+    rows = {
+        name_of(row): {key: float(found["value"]) for key, found in row["parameters"].items()}
+        for row in document.get("effects", ())
+    }
     wanted = document.get("verdict", {}).get("effects", ())
     lost = [name for name in wanted if name not in rows]
     if lost:
@@ -139,7 +138,7 @@ def squares(data: GapData, after: FloatArray) -> tuple[FloatArray, FloatArray]:
     Plain differences of recorded and simulated outputs, each channel over
     `noise^2 + (0.001 range)^2`, so that anybody can form them from the logs.
     """
-    variance = data.noise**2 + (TOLERANCE * data.span) ** 2
+    variance = data.variance
     floor = (np.isfinite(data.gap) * (data.noise**2 / variance)).sum(axis=(1, 2))
     before = np.nansum(data.gap**2 / variance, axis=(1, 2)) - floor
     left = np.nansum((data.real - after) ** 2 / variance, axis=(1, 2)) - floor
@@ -223,7 +222,7 @@ def seen(data: GapData, after: FloatArray, by_others: FloatArray | None) -> Sums
 def unseen(data: GapData, after: FloatArray) -> Other:
     """What `after` changes, and where anything was recorded, whatever that is."""
     known = np.isfinite(data.real)
-    change = (after - data.flights.y) ** 2 / (data.noise**2 + (TOLERANCE * data.span) ** 2)
+    change = (after - data.flights.y) ** 2 / data.variance
     samples = known.sum(axis=(1, 2)).astype(np.float64)
     return Other(np.sum(change, axis=(1, 2), where=known), samples)
 

@@ -18,7 +18,7 @@ from narxcal.effects.steady import UNLOGGED
 from narxcal.support.arrays import FloatArray, IntArray, block_means, noise_level
 from narxcal.support.errors import DataError
 from training.diagnosis.budget import Phases
-from training.diagnosis.metric import Record
+from training.diagnosis.metric import TOLERANCE, Record
 
 Regimes = dict[str, tuple[tuple[str, ...], IntArray]]
 DIRECTIONS = ("push", "pull", "steady")
@@ -65,6 +65,11 @@ class GapData:
         """Range of each output in the simulator's logs: (outputs,)."""
         signals = self.flights.signals
         return np.maximum(signals.high - signals.low, 1e-9)
+
+    @property
+    def variance(self) -> FloatArray:
+        """Of noise and of what nobody would call a gap, (outputs,)."""
+        return self.noise**2 + (TOLERANCE * self.span) ** 2
 
 
 def batch(pairs: Sequence[Pair], rate_hz: float = RATE_HZ, keep_hz: float = KEEP_HZ) -> GapData:

@@ -19,7 +19,6 @@ from eval.diagnosis.words import (
     Row,
     cause_words,
     listed,
-    name_of,
     next_flights,
     outcome,
     percent,
@@ -30,7 +29,7 @@ from eval.report.page import RunHeader, render
 from eval.report.style import Picture, number, picture
 from eval.report.tables import Cell, Table, figure
 from narxcal.channels import symbol
-from narxcal.effects.library import effect
+from narxcal.effects.library import effect, name_of
 from narxcal.support.interrupt import is_interrupt
 from training.diagnosis.budget import Interval
 

@@ -19,7 +19,6 @@ from eval.report import style
 from eval.report.style import Picture, picture
 from narxcal.channels import symbol
 from narxcal.support.arrays import FloatArray
-from training.diagnosis.metric import TOLERANCE
 
 _CELL_W, _CELL_H, _LEFT = 0.82, 0.5, 0.75  # inches
 _DARK = 0.55  # of the map's range: beyond it letters are white
@@ -233,7 +232,7 @@ def worst_flight(view: View) -> int:
 def _energy(view: View) -> FloatArray:
     """Squared gap over what a gap has to exceed, summed over outputs: (flights, time)."""
     data = view.data
-    scale = np.sqrt(data.noise**2 + (TOLERANCE * data.span) ** 2)
+    scale = np.sqrt(data.variance)
     return np.asarray(np.nansum((data.gap / scale) ** 2, axis=-1))
 
 

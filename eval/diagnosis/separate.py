@@ -29,8 +29,8 @@ from scipy.special import ndtr
 from eval.card import Card, Flown, Step, Wanted, admitted, check_channels, planned
 from eval.diagnosis.applied import EMULATOR, gap_document, read_emulator, signals_from_json
 from narxcal.effects.base import Effect, Signals
-from narxcal.effects.library import effect
-from narxcal.effects.running import Flights, respond
+from narxcal.effects.library import effect, name_of
+from narxcal.effects.running import Flights, response
 from narxcal.effects.steady import UNLOGGED, UnloggedSwitch
 from narxcal.flight_test.moves import moves
 from narxcal.support.arrays import FloatArray
@@ -144,9 +144,8 @@ def _hypotheses(document: Mapping[str, Any]) -> list[Hypothesis]:
     verdict, rows = document["verdict"], {}
     none = Hypothesis(None, np.zeros(0), np.zeros(0), float(verdict.get("none", 0.0)))
     for row in document["effects"]:
-        name = ":".join(filter(None, (row["id"], row.get("channel"))))
         if row["id"] != UnloggedSwitch.id:
-            rows[name] = row
+            rows[name_of(row)] = row
     names, also = [], []
     if verdict["kind"] == "ambiguous":
         names = [*verdict["effects"][:1], *verdict["ambiguous_with"]]
@@ -264,10 +263,10 @@ class Columns:
 def _response(
     one: Hypothesis, theta: FloatArray, flights: Flights, emulator: GreyBoxEmulator
 ) -> FloatArray:
-    """What an effect changes (moves, time, outputs)."""
+    """What a hypothesis changes (moves, time, outputs); no effect changes nothing."""
     if one.effect is None:
         return np.zeros_like(flights.y)
-    return np.asarray(respond([(one.effect, theta[None])], flights, emulator)[0] - flights.y)
+    return response(one.effect, theta, flights, emulator)
 
 
 def _slopes(one: Hypothesis, flights: Flights, emulator: GreyBoxEmulator) -> list[FloatArray]:

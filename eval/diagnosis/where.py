@@ -21,7 +21,6 @@ from eval.diagnosis.expected import TimeErrors, time_errors
 from eval.diagnosis.flights import MOVES, Bins, GapData, events_of, sort_samples
 from narxcal.support.arrays import FloatArray, bridge_gaps
 from training.diagnosis.budget import Interval
-from training.diagnosis.metric import TOLERANCE
 
 _ALONE = 0.6  # share of one channel from which on the others may just not have been hit
 
@@ -49,7 +48,7 @@ def side_of(data: GapData, gap: FloatArray, channels: FloatArray) -> Sides:
 
 def _common_shift(data: GapData, gap: FloatArray) -> float:
     """Part of the gap's energy that one shift in time of all channels explains."""
-    scale = np.sqrt(data.noise**2 + (TOLERANCE * data.span) ** 2)
+    scale = np.sqrt(data.variance)
     slope = -np.gradient(data.flights.y, data.flights.signals.dt_s, axis=1) / scale
     known = np.isfinite(gap)
     seen = np.where(known, gap, 0.0) / scale
@@ -139,7 +138,7 @@ def _explained(data: GapData, bins: Bins, change: FloatArray | None) -> FloatArr
     """Share (outputs, moves) of the energy of a `change` of the outputs; None where it is none."""
     if change is None:
         return None
-    energy = change**2 / (data.noise**2 + (TOLERANCE * data.span) ** 2)
+    energy = change**2 / data.variance
     known = np.where(np.isfinite(data.gap), energy, 0.0)
     parts = np.stack([known[bins.move == k].sum(axis=0) for k in range(len(MOVES))], axis=1)
     whole = float(parts.sum())
@@ -150,7 +149,7 @@ def without_nuisances(data: GapData, explained: FloatArray) -> FloatArray:
     """The gap (flights, time, outputs) less the offsets and skews that fit beside `explained`."""
     known = np.isfinite(data.gap)
     known &= (np.arange(data.gap.shape[1]) < data.flights.lengths[:, None])[..., None]
-    weights = known / (data.noise**2 + (TOLERANCE * data.span) ** 2)
+    weights = known / data.variance
     shapes, priors = _nuisances(data)
     gram = np.einsum("fktn,ftn,fltn->fkl", shapes, weights, shapes, optimize=True)
     inverse = np.linalg.inv(gram + np.diag(1.0 / priors**2))
@@ -184,7 +183,7 @@ class _Energy:
 
     def __init__(self, data: GapData, bins: Bins, gap: FloatArray) -> None:
         self.bins = bins
-        scale = np.sqrt(data.noise**2 + (TOLERANCE * data.span) ** 2)
+        scale = np.sqrt(data.variance)
         self.floor = (data.noise / scale) ** 2
         self.sample = (gap / scale) ** 2  # NaN where unknown
         self.units = _units(data)

@@ -9,7 +9,7 @@ from typing import Any, Final
 from eval.outcome import Outcome
 from eval.report.style import number
 from narxcal.channels import symbol
-from narxcal.effects.library import effect
+from narxcal.effects.library import effect, name_of
 
 NAMED: Final = {
     "build": "differences of build",
@@ -102,11 +102,6 @@ def _plain(value: float, digits: int) -> str:
 def _printed(name: str) -> str:
     """Unit as it is printed: `degC` -> `°C`."""
     return "" if name == "-" else name.replace("degC", "°C").replace("deg", "°")
-
-
-def name_of(row: Row) -> str:
-    """Name of an effect by its row: `id`, or `id:channel`."""
-    return f"{row['id']}:{row['channel']}" if row.get("channel") else str(row["id"])
 
 
 def sentences(document: Row) -> list[str]:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from narxcal.effects.base import Effect, Signals
 from narxcal.effects.dynamic import (
     AccelDecelAsymmetry,
@@ -79,6 +82,11 @@ def hypotheses(signals: Signals) -> tuple[Effect, ...]:
     left_out = (UnloggedSwitch, *(() if signals.governed else lever))
     every = [each for each in (*candidates(signals), *scales) if not isinstance(each, left_out)]
     return tuple(each for each in every if each.name != "sensor_lag:FF_kgph")
+
+
+def name_of(row: Mapping[str, Any]) -> str:
+    """Name of an effect of its row in a document: `id`, or `id:channel`."""
+    return f"{row['id']}:{row['channel']}" if row.get("channel") else str(row["id"])
 
 
 def effect(name: str) -> Effect:

@@ -119,6 +119,13 @@ def respond(settings: Sequence[Setting], flights: Flights, emulator: Emulator | 
     return read(spread, flights.signals, given, y).reshape(batch, count, steps, -1)
 
 
+def response(
+    effect: Effect, theta: FloatArray, flights: Flights, emulator: Emulator | None
+) -> FloatArray:
+    """What an effect at theta (parameters,) changes in the outputs, (flights, time, outputs)."""
+    return np.asarray(respond([(effect, theta[None])], flights, emulator)[0] - flights.y)
+
+
 def _inside(setting: Setting, signals: Signals) -> bool:
     """Whether an engine with the effect has to be emulated."""
     outside = isinstance(setting[0], InputEffect) and not isinstance(setting[0], ShiftEffect)

@@ -19,14 +19,6 @@ def test_it_has_every_effect_that_a_virtual_flight_can_have():
     assert set(LIBRARY) >= {*PARAMETERS, *sensors.PARAMETERS}
 
 
-def test_each_says_what_it_is_and_what_would_tell_it_apart():
-    for kind in LIBRARY.values():
-        assert kind.meaning
-        assert kind.manoeuvre
-        assert kind.family
-        assert kind.side in ("input", "process", "sensor")
-
-
 def test_no_name_is_offered_twice(flights):
     found = names(flights.signals)
     assert len(set(found)) == len(found)

@@ -176,12 +176,6 @@ def test_an_effect_inside_the_engine_needs_an_emulator(name, flights):
         respond([(effect(name), np.array([[1.5]]))], flights, None)
 
 
-def test_the_shape_is_batch_flights_time_outputs(flights, engine):
-    thetas = np.linspace(0.0, 1.0, 5)[:, None]
-    found = respond([(effect("spool_lag"), 1.0 + thetas)], flights, engine)
-    assert found.shape == (5, *flights.y.shape)
-
-
 class Counting:
     """An engine that says how many rows it was run for."""
 

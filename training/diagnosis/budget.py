@@ -221,7 +221,6 @@ class Weighed:
     gain: float
     flights: tuple[float, ...]
     nameable: float | None = None
-    credible_set: tuple[str, ...] = ()
     at_bound: tuple[str, ...] = ()
     with_effects: tuple[str, ...] = ()
 
@@ -306,7 +305,7 @@ def _effect_row(one: Weighed) -> dict[str, Any]:
         },
         "gain": {"value": flights[0], "low": min(flights), "high": max(flights)},
         "nameable": one.nameable,
-        "credible_set": list(one.credible_set),
+        "credible_set": [],
         "at_bound": list(one.at_bound),
         "with": list(one.with_effects),
     }

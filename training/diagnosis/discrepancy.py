@@ -163,8 +163,8 @@ def learn(record: Record, dictionary: Dictionary) -> Discrepancy:
 def _gains(record: Record, nodes: Mapping[str, list[Node]], f: int) -> dict[str, float]:
     """What each effect gains on log f by what the others taught, per linear parameter."""
     others = [k for k in range(len(record.real)) if k != f]
-    taught = _once(_some(record, others), {n: _of(each, others) for n, each in nodes.items()})
-    one = _some(record, [f])
+    taught = _once(record.some(others), {n: _of(each, others) for n, each in nodes.items()})
+    one = record.some([f])
     noise, metric = taught.nuisances(one), Metric(one, taught.variance(one))
     frame = Frame(one, metric, one.gap, noise, assumed=False)
     found = {}
@@ -174,16 +174,6 @@ def _gains(record: Record, nodes: Mapping[str, list[Node]], f: int) -> dict[str,
         gain = (frame.none.cost - best.solved.cost) / best.solved.tau
         found[name] = max(gain, 0.0) / count
     return found
-
-
-def _some(record: Record, rows: Sequence[int]) -> Record:
-    """Some logs of a record."""
-    at, flights = list(rows), record.flights
-    few = replace(flights, u=flights.u[at], y=flights.y[at], lengths=flights.lengths[at])
-    unit = record.unit[at]
-    known, numbers = np.unique(unit, return_inverse=True)
-    numbers = numbers.reshape(unit.shape) - int(known[0] < 0)
-    return Record(few, record.real[at], record.noise, numbers, tuple(record.group[k] for k in at))
 
 
 def _of(nodes: Sequence[Node], rows: Sequence[int]) -> list[Node]:

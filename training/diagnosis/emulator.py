@@ -347,7 +347,8 @@ def choose_control(emulators: Sequence[GreyBoxEmulator], record: Record) -> Grey
     moving = [e for e in hypotheses(record.flights.signals) if isinstance(e, RateEffect)]
     if len(emulators) == 1 or not moving:
         return emulators[0]
-    some = _some(record)
+    energy = (record.gap**2 / record.span**2).sum(axis=(1, 2))
+    some = record.some(np.sort(np.argsort(-energy)[:_FLIGHTS]).tolist())
     left = []
     for one in emulators:
         dictionary = Dictionary(moving, some.flights, one)
@@ -358,14 +359,3 @@ def choose_control(emulators: Sequence[GreyBoxEmulator], record: Record) -> Grey
         left.append(min(frame.energy(each.solved) for each in fits) / before)
     best = int(np.argmin(left))
     return emulators[best] if left[best] < left[0] - _MORE else emulators[0]
-
-
-def _some(record: Record) -> Record:
-    energy = (record.gap**2 / record.span**2).sum(axis=(1, 2))
-    rows = np.sort(np.argsort(-energy)[:_FLIGHTS])
-    flights: Flights = record.flights
-    few = replace(flights, u=flights.u[rows], y=flights.y[rows], lengths=flights.lengths[rows])
-    _, unit = np.unique(record.unit[rows], return_inverse=True)
-    unit = unit.reshape(record.unit[rows].shape)
-    lowest = int((record.unit[rows] < 0).any())
-    return Record(few, record.real[rows], record.noise, unit - lowest)

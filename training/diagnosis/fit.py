@@ -306,7 +306,7 @@ class Frame:
         Every sample counts by the energy of the response there, up to a fiftieth of its peak.
         """
         record = self.record
-        weight = record.known / (record.noise**2 + (1e-3 * record.span) ** 2)
+        weight = record.known / record.variance
         gap, response = self.cleaned(one.solved), one.response
         energy = weight * response**2
         peak = float(energy.max())

@@ -259,7 +259,7 @@ def _evidence(frame: Frame, one: Single, spread: float) -> float:
 def _plain(frame: Frame, one: Single) -> float:
     """Energy that an effect takes of what is left, in noise alone."""
     record = frame.record
-    weight = record.known / (record.noise**2 + (1e-3 * record.span) ** 2)
+    weight = record.known / record.variance
     before = frame.cleaned(frame.none)
     after = frame.cleaned(one.solved) - one.response
     return float((weight * (before**2 - after**2)).sum())

@@ -30,7 +30,6 @@ from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.compiled import compiled
 from training.diagnosis.dictionary import Node
 from training.diagnosis.fit import Frame, Single, Solved
-from training.diagnosis.metric import TOLERANCE
 
 _BLOCK_S: Final = 2.0  # about what an engine takes to follow, twice
 _ROUNDS: Final = 6
@@ -66,9 +65,8 @@ def edges(frame: Frame, one: Single) -> list[list[tuple[float, float]]]:
     record, shift, on = frame.record, one.theta, one.node.on
     if on is None:
         return []
-    variance = record.noise**2 + (TOLERANCE * record.span) ** 2
     left = frame.cleaned(one.solved)
-    weight = record.known / variance / one.solved.tau
+    weight = record.known / record.variance / one.solved.tau
     lag = FOLLOW_S / record.flights.signals.dt_s
     found = []
     for f, row in enumerate(on):
@@ -148,11 +146,10 @@ class _Blocks:
         self._frame, self.groups = frame, np.arange(len(record.gap))
         self._size = max(1, round(_BLOCK_S / record.flights.signals.dt_s))
         self._steps = record.gap.shape[1]
-        variance = record.noise**2 + (TOLERANCE * record.span) ** 2
         self._starts = np.arange(0, self._steps, self._size)
         self._known, self._tau = record.known, frame.none.tau
         self._count = self._sums(record.known.astype(float))
-        self._weight = self._count / variance
+        self._weight = self._count / record.variance
         self._switch = _penalty(frame)
         self._gap = self._means(frame.gap)
         self._nuisances = np.stack([self._means(each) for each in frame.nuisances.columns])

@@ -14,7 +14,7 @@ leaving its Gram matrix out.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -60,6 +60,11 @@ class Record:
         return np.maximum(signals.high - signals.low, 1e-9)
 
     @property
+    def variance(self) -> FloatArray:
+        """Of white noise and of what nobody would call a gap, (outputs,)."""
+        return self.noise**2 + (TOLERANCE * self.span) ** 2
+
+    @property
     def units(self) -> int:
         """How many units there are."""
         return int(self.unit.max()) + 1
@@ -69,6 +74,15 @@ class Record:
         """Effective samples: 25 in eight minutes, for the errors of a simulator are slow."""
         seconds = float((self.unit >= 0).sum()) * self.flights.signals.dt_s
         return 25.0 * seconds / 480.0
+
+    def some(self, rows: Sequence[int]) -> Record:
+        """Some of the flights, their units numbered anew."""
+        at, flights = list(rows), self.flights
+        few = replace(flights, u=flights.u[at], y=flights.y[at], lengths=flights.lengths[at])
+        known, numbers = np.unique(self.unit[at], return_inverse=True)
+        unit = numbers.reshape(self.unit[at].shape) - int(known[0] < 0)
+        group = tuple(self.group[k] for k in at) if self.group else ()
+        return Record(few, self.real[at], self.noise, unit, group)
 
 
 class Metric:
@@ -144,5 +158,4 @@ def _means(v: FloatArray, size: int) -> FloatArray:
 
 def assumed_variance(record: Record) -> list[FloatArray]:
     """One band: white noise and what nobody would call a gap."""
-    variance = record.noise**2 + (TOLERANCE * record.span) ** 2
-    return [np.broadcast_to(variance, record.real.shape).copy()]
+    return [np.broadcast_to(record.variance, record.real.shape).copy()]

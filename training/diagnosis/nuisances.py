@@ -17,9 +17,9 @@ from typing import Final
 
 import numpy as np
 
-from narxcal.effects.base import Effect, Parameter, Signals
+from narxcal.effects.base import Parameter
 from narxcal.effects.library import LIBRARY
-from narxcal.effects.running import Emulator, Flights, respond
+from narxcal.effects.running import Emulator, Flights, response
 from narxcal.support.arrays import FloatArray
 from training.diagnosis.metric import Record
 
@@ -153,23 +153,17 @@ def _small(flights: Flights, emulator: Emulator | None) -> list[tuple[str, Float
         kind, _, channel = name.partition(":")
         effect = LIBRARY[kind](channel or None)
         if effect.applies(signals) and (kind != "throttle_backlash" or signals.governed):
-            found.append((name, _response(effect, given, flights, emulator)))
+            theta = theta_of(effect.parameters(signals), given)
+            found.append((name, response(effect, theta, flights, emulator)))
     soak = LIBRARY["heat_soak"]()
     for p in soak.parameters(signals):
         if p.linear:
             given = {"tau_s": 40.0, "rise_s": 1.0, p.name: 0.015}
-            found.append(("heat_soak", _response(soak, given, flights, emulator)))
+            theta = theta_of(soak.parameters(signals), given)
+            found.append(("heat_soak", response(soak, theta, flights, emulator)))
     return [(name, each) for name, each in found if np.isfinite(each).all() and each.any()]
 
 
 def theta_of(parameters: tuple[Parameter, ...], given: dict[str, float]) -> FloatArray:
     """Parameters as an array, neutral where they are not given."""
     return np.array([given.get(p.name, p.neutral) for p in parameters])
-
-
-def _response(
-    effect: Effect, given: dict[str, float], flights: Flights, emulator: Emulator | None
-) -> FloatArray:
-    signals: Signals = flights.signals
-    theta = theta_of(effect.parameters(signals), given)
-    return np.asarray(respond([(effect, theta[None])], flights, emulator)[0] - flights.y)

@@ -298,7 +298,6 @@ def _one(
         float(gain),
         flights,
         None if name in claimed else _NAMEABLE * float(spread[0]),
-        (),
         tuple(
             f"{name}.{p.name}"
             for p, v in zip(node.parameters, theta, strict=True)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
+from narxcal.effects.library import name_of
+
 FLOOR: Final = 0.05  # share of the gap below which nobody has to find an effect
 NONE, UNKNOWN, FAILED = "none", "unknown", "failed"
 NO_EFFECT: Final = ("build", "offsets", "noise", "unexplained")  # other causes of a budget
@@ -229,11 +231,6 @@ class Outcome(NamedTuple):
         if rows:
             return _summed(each for row in rows for each in (row["channels"] or {}).items())
         return _summed((row["channel"], row["share"]) for row in self.answer.get("where", ()))
-
-
-def name_of(row: Mapping[str, Any]) -> str:
-    """Name of an effect from its row, `id` or `id:channel`."""
-    return row["id"] if row.get("channel") is None else f"{row['id']}:{row['channel']}"
 
 
 def _summed(rows: Any) -> dict[str, float]:

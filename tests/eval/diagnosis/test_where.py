@@ -136,11 +136,6 @@ def test_unknown_samples_take_no_part(make_data, probe):
     assert locate(data).rows[0].channel == "EGT_C"
 
 
-def test_the_answer_is_the_same_every_time(make_data, probe):
-    data = make_data(probe)
-    assert locate(data).rows == locate(data).rows
-
-
 def test_a_shift_of_all_channels_is_on_the_input_side(make_data):
     data = make_data()
     data.real[:] = np.roll(data.flights.y, 2, axis=1)

@@ -100,12 +100,6 @@ def test_no_engine_flies_an_effect_that_it_has_no_place_for():
         assert all(applies(effect.id, each.engine) for effect in each.effects)
 
 
-def test_names_sort_and_are_counted_from_one():
-    names = [case.name for case in draw_cases(BlindPlan(cases=12))]
-    assert names == sorted(names)
-    assert (names[0], names[-1]) == ("case_001", "case_012")
-
-
 @pytest.mark.parametrize(
     ("key", "value", "words"),
     [

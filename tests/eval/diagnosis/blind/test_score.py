@@ -4,8 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from eval.diagnosis.blind.score import (
     FIVE,
@@ -197,17 +195,6 @@ def test_wilson_as_tabulated():
     # 0 of 20 and 15 of 148, from the same table.
     assert rate([False] * 20)[2:] == pytest.approx((0.0, 0.0, 0.1611), abs=5e-5)
     assert rate([True] * 15 + [False] * 133)[3:] == pytest.approx((0.0624, 0.1605), abs=5e-5)
-
-
-@given(st.integers(0, 40), st.integers(0, 40))
-def test_the_interval_contains_the_rate_and_mirrors(hits, misses):
-    if hits + misses == 0:
-        return
-    found, mirrored = rate([True] * hits + [False] * misses), rate([True] * misses + [False] * hits)
-    assert 0.0 <= found.low <= found.value + 1e-12
-    assert found.value <= found.high + 1e-12
-    assert found.high <= 1.0
-    assert found.low == pytest.approx(1.0 - mirrored.high, abs=1e-12)
 
 
 def test_calibration_error_over_bins_of_equal_mass():

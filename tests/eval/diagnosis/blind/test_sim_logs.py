@@ -7,7 +7,6 @@ import pytest
 from eval.diagnosis.blind.cases import OFFSETS, BlindPlan, draw_cases
 from eval.diagnosis.blind.files import open_key
 from eval.diagnosis.blind.make import write_key
-from eval.diagnosis.blind.outcome import name_of
 from eval.diagnosis.blind.sim_logs import (
     SHIFTS,
     LogSpecimen,
@@ -18,6 +17,7 @@ from eval.diagnosis.blind.sim_logs import (
 )
 from eval.diagnosis.blind.truth import NOTHING
 from eval.diagnosis.pairs import read_folder
+from narxcal.effects.library import name_of
 from narxcal.flight_test.sensors import first_order
 from narxcal.support.errors import DataError
 
