@@ -323,5 +323,5 @@ def test_the_compiled_run_is_the_same_from_python():
     given_ = flown(60)
     theta = np.concatenate([coefficients()[None], pace_of()], axis=1)
     which = np.zeros(1, dtype=int)
-    plain = two_spool.run.py_func(theta, THERMAL, given_, which, (DT, 50.0, 45.0, 0, 3))
+    plain = two_spool._run.py_func(theta, THERMAL, given_, which, (DT, 50.0, 45.0, 0, 3))
     np.testing.assert_allclose(engine().free_run(given_, which, pace_of()), plain, atol=1e-9)
