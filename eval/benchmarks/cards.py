@@ -33,15 +33,15 @@ import numpy as np
 import pandas as pd
 
 from eval.card import Wanted, calibration_card
+from eval.diagnosis.applied import EMULATOR, write_emulator
 from eval.diagnosis.blind.cases import BlindPlan, Case, draw_cases
 from eval.diagnosis.blind.files import write_log
+from eval.diagnosis.blind.make import sized
 from eval.diagnosis.blind.outcome import FLOOR, Outcome
 from eval.diagnosis.blind.score import rate
-from eval.diagnosis.blind.shares import sized
 from eval.diagnosis.blind.truth import Content, Flight, Specimen, hidden_windows
 from eval.diagnosis.diagnose import Answer, Request, diagnose_folders
 from eval.diagnosis.separate import separation_card
-from eval.diagnosis.stored_emulator import EMULATOR, write_emulator
 from eval.information import Experiment, of_training
 from narxcal.flight_test.fly import fly
 from narxcal.flight_test.moves import FlightCard, Limits
