@@ -11,9 +11,8 @@ Air data are redundant (any compressible-flow text; T in K):
     TAT = SAT (1 + 0.2 r M^2)       TAT, SAT, Mach
     SAT = ISA(ALT) + slow           SAT, ALT
 
-Each relation that fails accuses its channels; the one that stands in all failed relations and in
-no other is at fault. Below their threshold on the ground airspeeds are a state, not a fault, and
-are compared with nothing.
+The channel that stands in all failed relations and in no other is at fault. Below their threshold
+on the ground airspeeds are a state, not a fault, and are compared with nothing.
 """
 
 from __future__ import annotations
@@ -286,25 +285,25 @@ def _air(log: Log) -> Iterator[Finding]:
     """The channel that stands in every failed relation of air data and in no other.
 
     Named is, in this order: a channel that is constant where they fail; another unit or a factor
-    that mends them all, if it is one channel's alone; the accused ones, masked where they fail in
+    that mends them all, if it is one channel's alone; the suspected ones, masked where they fail in
     one stretch and hold elsewhere.
     """
     flies = _airborne(log)
     broken, failed = _failed(log.channels, flies)
     if not failed:
         return
-    accused = set.intersection(*map(set, failed)) - _close(log, flies)
-    accused = accused or set.intersection(*map(set, failed)) or set().union(*failed)
+    suspected = set.intersection(*map(set, failed)) - _close(log, flies)
+    suspected = suspected or set.intersection(*map(set, failed)) or set().union(*failed)
     wrong = np.any([broken[names] for names in failed], axis=0)
-    stopped = list(_stopped(log, accused, wrong))
-    mended = list(_mended(log, accused, flies))
+    stopped = list(_stopped(log, suspected, wrong))
+    mended = list(_mended(log, suspected, flies))
     if stopped:
         yield from stopped
     elif len({name for name, *_ in mended}) == 1:
         name, kind, text = mended[0]
         yield Finding(kind, name, evidence=text, log=log.name)
     else:
-        order = tuple(name for name in _AIR if name in accused)
+        order = tuple(name for name in _AIR if name in suspected)
         text = f"contradicts the other air data{_mach_ratio(log)}"
         if len(order) > 1:
             text = f"{' and '.join(order)} contradict each other{_mach_ratio(log)}"
@@ -326,18 +325,18 @@ def _stretch(log: Log, wrong: BoolArray, flies: BoolArray) -> _Span:
     return _span(log, int(rows[0]), int(rows[-1]) + 1)
 
 
-def _stopped(log: Log, accused: set[str], wrong: BoolArray) -> Iterator[Finding]:
+def _stopped(log: Log, suspected: set[str], wrong: BoolArray) -> Iterator[Finding]:
     """Accused channels that repeat one value for most of the time in which relations fail."""
-    for name in (each for each in _AIR if each in accused):
+    for name in (each for each in _AIR if each in suspected):
         for start, stop in zip(*repeats(log[name]), strict=True):
             long = (stop - start) * log.dt_s > _STOPPED_S
             if long and wrong[start:stop].sum() > _EXPLAINED * wrong.sum():
                 yield _stuck(log, name, int(start), int(stop))
 
 
-def _mended(log: Log, accused: set[str], flies: BoolArray) -> Iterator[tuple[str, Kind, str]]:
-    """Conversions of one accused channel with which no relation fails."""
-    for name in (each for each in _AIR if each in accused):
+def _mended(log: Log, suspected: set[str], flies: BoolArray) -> Iterator[tuple[str, Kind, str]]:
+    """Conversions of one suspected channel with which no relation fails."""
+    for name in (each for each in _AIR if each in suspected):
         level = f"median {np.nanmedian(log[name]):.4g}"
         tried: list[tuple[Kind, str, float, float]] = [
             ("unit", f"looks like {word}: {level}", scale, offset)

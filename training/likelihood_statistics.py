@@ -69,16 +69,6 @@ def _direction(vector: FloatArray, names: Sequence[str]) -> str:
     return ", ".join(f"{names[j]} ({vector[j] / largest:+.2f})" for j in parts)
 
 
-def correlation(covariance: FloatArray) -> FloatArray:
-    """Correlation matrix (P, P); 0 where a variance is infinite."""
-    sd = np.sqrt(np.diag(covariance))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        result = covariance / np.outer(sd, sd)
-    result = np.where(np.isfinite(result), result, 0.0)
-    np.fill_diagonal(result, 1.0)
-    return result
-
-
 def coloured_covariance(
     covariance: FloatArray,
     sensitivities: Sequence[FloatArray],
