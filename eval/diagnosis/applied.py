@@ -370,6 +370,7 @@ def signals_to_json(signals: Signals) -> dict[str, Any]:
 
 def signals_from_json(stored: Mapping[str, Any]) -> Signals:
     """Rebuild from `signals_to_json`; raises `KeyError` where a part is missing."""
+    lowest, highest = map(float, stored["lever"])
     return Signals(
         inputs=tuple(stored["inputs"]),
         outputs=tuple(stored["outputs"]),
@@ -377,7 +378,7 @@ def signals_from_json(stored: Mapping[str, Any]) -> Signals:
         driver=stored["driver"],
         low=np.array(stored["low"], dtype=np.float64),
         high=np.array(stored["high"], dtype=np.float64),
-        lever=(float(stored["lever"][0]), float(stored["lever"][1])),
+        lever=(lowest, highest),
         active=tuple(stored["active"]),
     )
 

@@ -148,6 +148,10 @@ def test_logs_that_do_not_fit_are_refused(signals, fly, log_of):
             "a part is missing or damaged: KeyError: 'outputs'. Name the gap.json",
         ),
         (
+            '{"schema": "narxcal.gap/1", "quality": {"signals": {"lever": []}}}',
+            "a part is missing or damaged: ValueError: not enough values to unpack",
+        ),
+        (
             '{"schema": "narxcal.gap/1", "effects": ["sensor_lag"]}',
             "a part is missing or damaged: AttributeError",
         ),
