@@ -370,7 +370,6 @@ def signals_to_json(signals: Signals) -> dict[str, Any]:
 
 def signals_from_json(stored: Mapping[str, Any]) -> Signals:
     """Rebuild from `signals_to_json`; raises `KeyError` where a part is missing."""
-    lowest, highest = map(float, stored["lever"])
     return Signals(
         inputs=tuple(stored["inputs"]),
         outputs=tuple(stored["outputs"]),
@@ -378,9 +377,13 @@ def signals_from_json(stored: Mapping[str, Any]) -> Signals:
         driver=stored["driver"],
         low=np.array(stored["low"], dtype=np.float64),
         high=np.array(stored["high"], dtype=np.float64),
-        lever=(lowest, highest),
+        lever=_range(*stored["lever"]),
         active=tuple(stored["active"]),
     )
+
+
+def _range(low: float, high: float) -> tuple[float, float]:
+    return float(low), float(high)
 
 
 def _document(file: Path) -> dict[str, Any]:

@@ -148,8 +148,11 @@ def test_logs_that_do_not_fit_are_refused(signals, fly, log_of):
             "a part is missing or damaged: KeyError: 'outputs'. Name the gap.json",
         ),
         (
-            '{"schema": "narxcal.gap/1", "quality": {"signals": {"lever": []}}}',
-            "a part is missing or damaged: ValueError: not enough values to unpack",
+            (
+                '{"schema": "narxcal.gap/1", "quality": {"signals": {"inputs": [], "outputs": [], '
+                '"dt_s": 1.0, "driver": 0, "low": [], "high": [], "lever": [0.0]}}}'
+            ),
+            "a part is missing or damaged: TypeError",
         ),
         (
             '{"schema": "narxcal.gap/1", "effects": ["sensor_lag"]}',
