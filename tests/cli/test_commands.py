@@ -20,6 +20,7 @@ from narxcal.calibration.bundle import load_bundle, save_bundle
 from narxcal.cli import main
 from narxcal.cli.denoise import usual_channel
 from narxcal.cli.prepare import file_names
+from narxcal.cli.results import config_header
 from training.steady_choice import Outlier
 
 ROOT = Path(__file__).parents[2]
@@ -120,7 +121,10 @@ def in_processes(monkeypatch):
 @pytest.mark.slow
 @pytest.mark.usefixtures("in_processes")
 def test_files_prepared_side_by_side_give_the_same_bytes(project, narxcal, tmp_path, monkeypatch):
-    monkeypatch.setattr("narxcal.cli.prepare.now", lambda: "now")
+    monkeypatch.setattr(
+        "narxcal.cli.prepare.config_header",
+        lambda *given: replace(config_header(*given), created="now"),
+    )
     found = []
     for jobs in (1, 3):
         out = tmp_path / str(jobs)
