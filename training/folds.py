@@ -12,7 +12,7 @@ logarithm of their errors, so that a model which does well in the middle and fai
 file at a time, with all its engines: they flew through the same air and were read by one recorder.
 *Random by event* (calibration paper, section 3.2: ten random 7:3 divisions) holds back whole
 events: each log is cut into segments of one event each, and a segment is never divided, so that no
-sample tells of its neighbour in the other set.
+sample is nearly its neighbour in the other set.
 """
 
 from __future__ import annotations

@@ -300,7 +300,7 @@ def _outcome(outcome: Outcome) -> dict[str, Any]:
 
 
 Table = tuple[str, Sequence[str], Sequence[Sequence[str]]]
-_COLUMNS: Final = 4  # of shares side by side, beside their names, in 80 columns of a terminal
+_COLUMNS: Final = 4  # of shares in a row after their names, in 80 columns of a terminal
 _WIDE: Final = 10  # of them on the page
 _NUMBER: Final = re.compile(r"[-+]?[\d.]+( ?%| s)?( ?[\[/] ?[-\d., ]+\]?)?( of \d+)?|-|")
 
