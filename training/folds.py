@@ -11,8 +11,8 @@ logarithm of their errors, so that a model which does well in the middle and fai
 **Cross-validation** divides many times, by two schemes. *Leave one flight out* holds back a whole
 file at a time, with all its engines: they flew through the same air and were read by one recorder.
 *Random by event* (calibration paper, section 3.2: ten random 7:3 divisions) holds back whole
-events: each log is cut into segments of one event each, and a segment is never divided, so that no
-sample is nearly its neighbour in the other set.
+events: each log is cut into segments of one event each, and a segment is never divided:
+neighbouring samples are nearly equal, and one must not train the model that the other judges.
 """
 
 from __future__ import annotations
