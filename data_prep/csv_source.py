@@ -149,9 +149,14 @@ class CsvSource:
         lines: list[str] = []
         chars = 0
         try:
-            while len(lines) < pace.lines and chars < _BLOCK_CHARS and (line := read_row(text)):
+            line = read_row(text)  # a blank one may end the line that was growing
+            while line:
                 lines.append(line)
                 chars += len(line)
+                # What follows a line without an end has been written since, and belongs to it.
+                if len(lines) == pace.lines or chars >= _BLOCK_CHARS or not line.endswith("\n"):
+                    break
+                line = read_row(text, blank=False)
         except (EOFError, zlib.error):
             if not pace.live:
                 raise

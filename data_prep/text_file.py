@@ -79,12 +79,12 @@ class Head:
     repeated: frozenset[str] = frozenset()
 
 
-def read_row(text: TextIO) -> str:
+def read_row(text: TextIO, *, blank: bool = True) -> str:
     """Read a row with its end: a line, or several where a quoted cell holds their ends (RFC 4180).
 
-    Raises as `read_line`.
+    `blank` and errors as in `read_line`.
     """
-    row = read_line(text)
+    row = read_line(text, blank=blank)
     if '"' not in row or not row.count('"') % 2 or not _OPEN_QUOTE.search(row.rstrip("\r\n")):
         return row
     after, first = text.tell(), row
@@ -96,12 +96,14 @@ def read_row(text: TextIO) -> str:
     return first
 
 
-def read_line(text: TextIO) -> str:
-    """Read a line with its end; empty at the end of the file.
+def read_line(text: TextIO, *, blank: bool = True) -> str:
+    """Read a line with its end; empty at the end of the file. Unless `blank`, skip empty lines.
 
     Raises `DataError` for one that is longer than any row of a log, so that memory stays bounded.
     """
     line = text.readline(MAX_LINE_CHARS)
+    while line == "\n" and not blank:
+        line = text.readline(MAX_LINE_CHARS)
     if len(line) == MAX_LINE_CHARS and not line.endswith("\n"):
         raise DataError(
             f"a line is longer than {MAX_LINE_CHARS:,} characters",
@@ -371,7 +373,7 @@ def _cells_below(
     if name not in header:
         return
     position = header.index(name)
-    for line in chain(lines, iter(lambda: read_row(text), "")):
+    for line in chain(lines, iter(lambda: read_row(text, blank=False), "")):
         if line.isspace():  # a packed file may hold millions of such lines
             continue
         cells = fields(line, delimiter)
