@@ -16,8 +16,8 @@ from typing import Any, Final, Literal, NamedTuple
 import numpy as np
 
 from eval.design import Candidates, Criterion, d_optimal, design, i_optimal
-from eval.evaluate import run_config
 from eval.information import Experiment, of_training
+from eval.run_logs import run_config
 from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.calibration import Calibration
 from narxcal.channels import described

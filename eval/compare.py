@@ -16,9 +16,9 @@ import numpy as np
 
 from data_prep.events import Event, find_events
 from data_prep.log import Log
-from eval.evaluate import run_config
 from eval.free_run import ARX, FIRST_ORDER, MODEL, STEADY_STATE, FreeRun, run_log
 from eval.report.style import number
+from eval.run_logs import run_config
 from eval.scores import max_relative_percent, nrmse, rmse
 from eval.significance import LEVEL, Difference, differences
 from eval.transients import Assessment, Overlay, Tally, TransientsConfig, assess_events, tally

@@ -13,8 +13,9 @@ import numpy as np
 from data_prep.identity import refuse_duplicates
 from data_prep.log import Log
 from data_prep.prepare import with_outputs
-from eval.evaluate import EvaluateConfig, LogEvaluation, assess_log, run_config
+from eval.log_evaluation import LogEvaluation, assess_log
 from eval.outcome import Outcome
+from eval.run_logs import EvaluateConfig, run_config
 from eval.scores import score
 from eval.transients import tally
 from narxcal.calibration.bundle import Bundle
@@ -153,7 +154,7 @@ def cross_validate(
 ) -> CrossValidation:
     """Calibrate and judge once per fold; `progress` counts the folds.
 
-    `logs` are prepared as by `eval.evaluate.evaluation_logs`: masked inputs still NaN. [split]
+    `logs` are prepared as by `eval.run_logs.evaluation_logs`: masked inputs still NaN. [split]
     plays no part. Raises `DataError` where no scheme can be run, and where two files hold the same
     samples.
     """

@@ -1,289 +1,38 @@
-"""Evaluate a calibration on logs: free-run errors, Ti and Tt of every event, one verdict.
+"""Evaluate a calibration on logs: one verdict of all of them.
 
-`assess_log` makes a `LogEvaluation` of one log; an `Evaluation` pools them. `Evaluation.outcome`
-is the only place where pass or fail is decided: terminal, page, JSON and exit code show it.
+`Evaluation.outcome` is the only place where pass or fail is decided: terminal, page, JSON and exit
+code show it.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from pydantic import Field
 
-from data_prep.events import Event, find_events
-from data_prep.grid import joined
-from data_prep.identity import Identity, Shared, first_shared
-from data_prep.log import Finding, Log, Source
-from data_prep.plausibility import unchecked_air
-from data_prep.prepare import prepare, with_outputs
-from data_prep.reading import read_logs
-from eval.evidence import (
-    Count,
-    ErrorCheck,
-    contradictions,
-    counts,
-    error_checks,
-    judged_shares,
-    too_few,
-    trained_words,
-    why_not_judged,
-)
-from eval.free_run import (
-    ARX,
-    BASELINES,
-    FIRST_ORDER,
-    MODEL,
-    NETWORK,
-    STEADY_STATE,
-    FreeRun,
-    run_log,
-    trimmed,
-)
+from data_prep.log import Finding, Log
+from eval.evidence import Count, contradictions, counts, too_few, trained_words, why_not_judged
+from eval.free_run import ARX, FIRST_ORDER, NETWORK, STEADY_STATE, FreeRun
+from eval.log_evaluation import NEW, LogEvaluation, assess_log, tally_row
 from eval.outcome import Outcome, plural
+from eval.run_logs import EvaluateConfig, run_config
 from eval.scores import ChannelScores, score
-from eval.transients import (
-    AssessedEvent,
-    Assessment,
-    Overlay,
-    Tally,
-    TransientsConfig,
-    assess_events,
-    assessed,
-    not_assessable,
-    tally,
-)
-from eval.trim import TrimConfig, rows_for_trim
+from eval.transients import Assessment, Tally, not_assessable, tally
 from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.certificate import Certificate, certificate_of
 from narxcal.channels import symbol
 from narxcal.steady.model import Envelope, SteadyStateModel
-from narxcal.support.errors import ConfigError, DataError, ModelError
+from narxcal.support.errors import ConfigError
 from narxcal.support.files import finite
 from narxcal.support.progress import Progress, silent
-from narxcal.support.settings import Section
-from training.config import RunConfig
-from training.folds import CrossvalConfig
-from training.levels import LEAST_LOGS, LevelCheck, checks, words
-from training.records import split_logs
-from training.redundancy import Bank
-from training.screening import screened
+from training.levels import LEAST_LOGS, LevelCheck, words
 
 SCHEMA = "narxcal.evaluate/1"
-NEW = "new"
 _MANY_OUTSIDE = 0.1  # share of a log's samples outside the envelope from which on it is reported
-
-
-class EvaluateConfig(Section):
-    """Table [evaluate]: how events are judged, what trim may assume, what has to be reached.
-
-    `crossval` says which divisions cross-validation makes.
-
-    `least_passed_pct` of the assessed events have to pass. `largest_rmse` (channel -> value in
-    its unit) bounds the RMSE pooled over the logs; none is bounded by default. `least_events`
-    pushes and pulls and `least_judged_pct` of each output are the least evidence of a pass
-    (`eval.evidence`).
-    """
-
-    transients: TransientsConfig = TransientsConfig()
-    trim: TrimConfig = TrimConfig()
-    crossval: CrossvalConfig = CrossvalConfig()
-    least_passed_pct: float = Field(default=95.0, ge=0.0, le=100.0)
-    largest_rmse: Mapping[str, float] = Field(default_factory=dict)
-    least_events: int = Field(default=3, ge=0)
-    least_judged_pct: float = Field(default=90.0, ge=0.0, le=100.0)
-
-
-@dataclass(frozen=True, eq=False)
-class LogEvaluation:
-    """One log: its free run, scores per channel, events with their assessments.
-
-    `role` is what the bundle used the log for: train, validate, test, or new to it; `shared` says
-    which of its logs this one holds samples of.
-    `untrimmed` are the scores on the same rows before trim, where there was one. `baselines` are
-    the baselines' Ti/Tt counts on the same events. `as_recorded` are the scores on the log before
-    its faults were masked, where there are some, and `faulty` the share of each channel's samples
-    that was masked so. `levels` compare level and lag of the free run with those of held-out logs,
-    `errors` its RMSE. `judged` is the share of each output that the figures rest on.
-    """
-
-    run: FreeRun
-    role: str
-    scores: Mapping[str, ChannelScores]
-    events: tuple[AssessedEvent, ...]
-    baselines: Mapping[str, Tally]
-    untrimmed: Mapping[str, ChannelScores] = field(default_factory=dict)
-    as_recorded: Mapping[str, ChannelScores] = field(default_factory=dict)
-    faulty: Mapping[str, float] = field(default_factory=dict)
-    levels: tuple[LevelCheck, ...] = ()
-    shared: Shared | None = None
-    judged: Mapping[str, float] = field(default_factory=dict)
-    errors: tuple[ErrorCheck, ...] = ()
-
-    @property
-    def log(self) -> Log:
-        """The prepared log, masked samples still NaN."""
-        return self.run.log
-
-    @property
-    def assessments(self) -> list[Assessment]:
-        """Those of all events, event by event."""
-        return [each for event in self.events for each in event.assessments]
-
-    def row(self) -> dict[str, Any]:
-        """One entry of `logs` in `evaluate.json`."""
-        run, log = self.run, self.log
-        channels = {name: figures.row() for name, figures in self.scores.items()}
-        for name, before in self.untrimmed.items():
-            channels[name]["untrimmed_rmse"] = before.rmse
-        for name, with_faults in self.as_recorded.items():
-            channels[name]["as_recorded_rmse"] = with_faults.rmse
-        return {
-            "log": log.name,
-            "role": self.role,
-            "file": log.source.file,
-            "sha256": log.source.sha256,
-            "samples": len(log),
-            "dt_s": log.dt_s,
-            "channels": channels,
-            "events": [each.row() for each in self.assessments],
-            "ti_tt": tally_row(self.assessments),
-            "levels": [each.row() for each in self.levels],
-            "errors": [{**asdict(each), "ok": each.ok} for each in self.errors],
-            "judged_share": dict(self.judged),
-            "holds": None if self.shared is None else _shared_row(self.shared),
-            "baselines": {name: baseline.row() for name, baseline in self.baselines.items()},
-            "masked": {
-                channel: {"samples": sum(reasons.values()), "reasons": reasons}
-                for channel, reasons in log.audit.masked().items()
-            },
-            "inputs": {
-                "held_samples": int(np.count_nonzero(~run.inputs_known)),
-                "faulty_share": dict(self.faulty),
-                "unchecked": list(unchecked_air(log)),
-                "outside_envelope_share": float(np.mean(~run.in_envelope)),
-                "quasi_steady_share": float(np.mean(run.quasi_steady)),
-            },
-            "trim": self._trim_row(),
-        }
-
-    def _trim_row(self) -> dict[str, Any] | None:
-        trim, names = self.run.trim, self.run.channels
-        if trim is None:
-            return None
-        return {
-            "scored_from_s": float(self.log.time_s[min(trim.until, len(self.log) - 1)]),
-            "levels": trim.nodes.tolist(),
-            "altitudes_ft": trim.altitudes_ft.tolist(),
-            "offsets": dict(zip(names, np.moveaxis(trim.offsets, 2, 0).tolist(), strict=True)),
-            "samples": dict(zip(names, trim.samples, strict=True)),
-        }
-
-
-def _shared_row(shared: Shared) -> dict[str, Any]:
-    share, from_s, to_s = shared.overlap
-    return {"log": shared.other, "share": share, "from_s": from_s, "to_s": to_s}
-
-
-def tally_row(assessments: Sequence[Assessment]) -> dict[str, Any]:
-    """Counts over all, then per channel and per direction, and why events were not assessed."""
-    channels = dict.fromkeys(each.channel for each in assessments)
-    return {
-        **tally(assessments).row(),
-        "channels": {
-            name: tally([each for each in assessments if each.channel == name]).row()
-            for name in channels
-        },
-        "push": tally([each for each in assessments if each.label == 0]).row(),
-        "pull": tally([each for each in assessments if each.label == 1]).row(),
-        "not_assessable_reasons": not_assessable(assessments),
-    }
-
-
-def assess_log(
-    bundle: Bundle,
-    log: Log,
-    settings: EvaluateConfig,
-    *,
-    trim: float | None = None,
-    events: Sequence[Event] | None = None,
-) -> LogEvaluation:
-    """Run and score one prepared log; `events` are those to judge where they are already found.
-
-    An output that the log lacks has no figures, and no event waits for it to settle. Raises
-    `DataError` as `eval.free_run.run_log`, `ConfigError` for a trim outside of 0 to 1.
-    """
-    config, _ = run_config(bundle)
-    outputs = bundle.calibration.output_names
-    recorded = with_outputs(log, outputs)
-    log = recorded.without_faults()
-    role, shared = role_of(bundle, recorded)
-    run = run_log(bundle, config, log, recorded)
-    if events is None:
-        events = find_events(log, config.events.for_log(log, outputs))
-    faulty = masked_shares(recorded, log, (*outputs, *bundle.calibration.input_names))
-    untrimmed: Mapping[str, ChannelScores] = {}
-    if trim is not None:
-        until = rows_for_trim(trim, len(log))
-        untrimmed = score([replace(run, scored_from=until)])
-        run = trimmed(run, until, settings.trim)
-        events = [event for event in events if event.start >= until]
-    scores = score([run])
-    return LogEvaluation(
-        run=run,
-        role=role,
-        scores=scores,
-        events=assessed(events, overlay_of(run, MODEL), settings.transients),
-        baselines={
-            name: tally(assess_events(events, overlay_of(run, name), settings.transients))
-            for name in BASELINES
-            if name in run.outputs
-        },
-        untrimmed=untrimmed,
-        as_recorded=score([run_log(bundle, config, recorded)]) if faulty else {},
-        faulty=faulty,
-        levels=_levels(bundle, run),
-        shared=shared,
-        judged=judged_shares(run, outputs),
-        errors=tuple(
-            error_checks(bundle.record, run, {name: one.rmse for name, one in scores.items()})
-        ),
-    )
-
-
-def _levels(bundle: Bundle, run: FreeRun) -> tuple[LevelCheck, ...]:
-    """Level and lag of the scored rows, compared with training logs that were held out."""
-    measured = np.where(run.scored[:, None], run.measured, np.nan)
-    return checks(bundle.record.weighed.channels, run.channels, (run.model, measured), run.log.dt_s)
-
-
-def overlay_of(run: FreeRun, name: str) -> Overlay:
-    """Flight and one model of a free run, as events are judged on."""
-    model = run.outputs[name]
-    return Overlay(run.log.time_s, run.measured, model, run.channels, run.inputs_known)
-
-
-def role_of(bundle: Bundle, log: Log) -> tuple[str, Shared | None]:
-    """What the bundle did with a log of these samples, under whatever name."""
-    known = {(one.log, one.engine): one for one in bundle.record.identities}
-    others = (
-        (one.log, Source(one.file, one.sha256, one.engine), Identity.from_json(one.model_dump()))
-        for one in known.values()
-    )
-    shared = first_shared(log, others)
-    if shared is not None:
-        return next(one.role for one in known.values() if one.log == shared.other), shared
-    if log.source.sha256 not in bundle.record.data.values():
-        return NEW, None
-    split = bundle.record.split
-    named = next((role for role in split if log.name in split[role]), None)
-    # Of an older run the bytes alone are known: whatever their name, they may have been learned.
-    return named or (NEW if known else "train"), None
 
 
 @dataclass(frozen=True, eq=False)
@@ -581,85 +330,6 @@ def _against_baselines(one: LogEvaluation) -> str:
     lost = [symbol(name) for name, (own, least) in best.items() if own > least]
     text = f"{one.log.name}: lowest free-run RMSE of all models in {', '.join(won) or 'no channel'}"
     return f"{text}; a baseline does better in {', '.join(lost)}." if lost else f"{text}."
-
-
-def run_config(bundle: Bundle) -> tuple[RunConfig, EvaluateConfig]:
-    """The configuration stored in a bundle; `ModelError` where there is none."""
-    stored = bundle.record.config
-    if not stored:
-        raise ModelError(
-            "the bundle does not say how its logs were prepared", hint="Train it with narxcal train"
-        )
-    config = RunConfig.parse(stored, "bundle.json")
-    return config, EvaluateConfig.parse(config.evaluate, "bundle.json, [evaluate]")
-
-
-def evaluation_logs(bundle: Bundle, files: Sequence[Path] | None = None) -> list[Log]:
-    """Read `files` with the column mapping of the bundle, cleaned and smoothed as for training.
-
-    Without `files`, the configured test logs (all configured ones where the split leaves none).
-    Masked inputs and outputs that a file lacks stay NaN. Raises `DataError` for a file without any
-    output.
-    """
-    config, _ = run_config(bundle)
-    return screened(bank_of(bundle), _prepared(bundle, config, files))
-
-
-def recorded_logs(bundle: Bundle, files: Sequence[Path]) -> list[Log]:
-    """As `evaluation_logs`, on the same rows, but not smoothed and not screened for faults."""
-    config, _ = run_config(bundle)
-    return _prepared(bundle, config.having(smooth={"window": 1}), files)
-
-
-def _prepared(bundle: Bundle, config: RunConfig, files: Sequence[Path] | None) -> list[Log]:
-    outputs = bundle.calibration.output_names
-    reading = config.logs.for_inputs(bundle.calibration.input_names)
-    reading = reading.every(bundle.calibration.dt_s)
-    chosen: Sequence[Log]
-    if files is not None:
-        chosen = read_logs(list(files), reading)
-    else:
-        logs = read_logs(config.logs.resolve(Path(bundle.record.base)), reading)
-        chosen = split_logs(logs, config.split).test or logs
-    prepared = joined([one.log for one in prepare(chosen, config)])
-    return [with_outputs(log, outputs) for log in prepared]
-
-
-def file_findings(bundle: Bundle, file: Path) -> tuple[Finding, ...]:
-    """What the logs in a file show; raises `DataError` as `evaluation_logs`.
-
-    Raises `DataError`, too, for an input of the model that is at fault throughout.
-    """
-    logs = evaluation_logs(bundle, [file])
-    found = tuple(each for log in logs for each in log.findings)
-    for log in logs:
-        after = log.without_faults()
-        for name in bundle.calibration.input_names:
-            if name in log.channels and log.recorded([name]) and not after.recorded([name]):
-                why = next(each for each in log.findings if name in each.channels)
-                raise DataError(
-                    f"an input of the model is at fault throughout ({why.kind}: {why.evidence})",
-                    file=log.name,
-                    channel=name,
-                    hint="Correct its column or unit under [logs.columns], or repair the log",
-                )
-    return found
-
-
-def bank_of(bundle: Bundle) -> Bank | None:
-    """The bank that the bundle's training logs taught; None for a bundle without one."""
-    stored = bundle.record.redundancy
-    return Bank.from_json(stored) if stored else None
-
-
-def masked_shares(recorded: Log, log: Log, names: Sequence[str]) -> dict[str, float]:
-    """Channel -> share of its recorded samples that are masked in `log`, where any are."""
-    shares = {}
-    for name in dict.fromkeys(names):
-        before, after = (np.isfinite(one[name]).sum() for one in (recorded, log))
-        if after < before:
-            shares[name] = float(1.0 - after / before)
-    return shares
 
 
 def evaluate(

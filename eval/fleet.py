@@ -27,8 +27,9 @@ from urllib.parse import quote
 from pydantic import Field, field_validator
 
 from data_prep.binary_source import arrow
-from eval.evaluate import EvaluateConfig, assess_log, evaluation_logs, run_config
 from eval.fleet_rows import DUPLICATE, FAILED, TABLES, Row, as_tables, not_evaluated, rows_of
+from eval.log_evaluation import assess_log
+from eval.run_logs import EvaluateConfig, evaluation_logs, run_config
 from narxcal.calibration.bundle import Bundle, load_bundle
 from narxcal.support.addresses import Folder
 from narxcal.support.errors import ConfigError, DataError, ModelError, NarxcalError

@@ -27,7 +27,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from eval.evaluate import EvaluateConfig, Evaluation, LogEvaluation
+from eval.evaluate import Evaluation
+from eval.log_evaluation import LogEvaluation
+from eval.run_logs import EvaluateConfig
 from eval.scores import ChannelScores
 from eval.transients import Assessment, tally
 from eval.trim import TrimConfig

@@ -28,7 +28,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from data_prep.prepare import with_outputs
-from eval.evaluate import run_config
+from eval.run_logs import run_config
 from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.calibration import Calibration, DynamicCalibration
 from narxcal.calibration.identified import EngineDynamics, IdentifiedCalibration, ResponseDynamics

@@ -1,8 +1,8 @@
 """A qualification test guide: which events are its tests, their results, and its JSON document.
 
-A test is one event of `eval.evaluate`, with the same assessments to the last digit. What is chosen,
-titled and annotated stands in a TOML or CSV file of tests (`TestsFile`); `start_file` writes one of
-all events found. A `Guide` that was saved is the master of later, recurrent evaluations.
+A test is one event of `eval.log_evaluation`, with the same assessments to the last digit. What is
+chosen, titled and annotated stands in a TOML or CSV file of tests (`TestsFile`); `start_file`
+writes one of all events found. A `Guide` that was saved is the master of later, recurrent evaluations.
 """
 
 from __future__ import annotations
@@ -24,10 +24,11 @@ from pydantic import Field
 
 from data_prep.events import AUTO, find_events
 from data_prep.log import Log
-from eval.evaluate import LogEvaluation, assess_log, overlay_of, run_config
 from eval.free_run import MODEL
+from eval.log_evaluation import LogEvaluation, assess_log, overlay_of
 from eval.report.view import LogView
 from eval.rules import Manoeuvre, Rules
+from eval.run_logs import run_config
 from eval.transients import AssessedEvent, Assessment, TransientsConfig, assessed
 from narxcal.calibration.bundle import Bundle, seal
 from narxcal.channels import described
@@ -403,7 +404,7 @@ def evaluate_events(
 ) -> Evaluated:
     """Evaluate prepared logs; `recorded` are the same before smoothing.
 
-    Raises as `eval.evaluate.assess_log`.
+    Raises as `eval.log_evaluation.assess_log`.
     """
     config, judged = run_config(bundle)
     judged = judged.model_copy(update={"transients": settings})

@@ -28,15 +28,9 @@ from data_prep.identity import duplicates
 from data_prep.log import Log
 from data_prep.prepare import cautions
 from data_prep.reading import read_logs
-from eval.evaluate import (
-    Evaluation,
-    LogEvaluation,
-    assess_log,
-    evaluation_logs,
-    outside_envelopes,
-    run_config,
-)
+from eval.evaluate import Evaluation, outside_envelopes
 from eval.evaluate import evaluate as evaluate_logs
+from eval.log_evaluation import LogEvaluation, assess_log
 from eval.outcome import Outcome
 from eval.preparation import (
     LogReport,
@@ -49,6 +43,7 @@ from eval.preparation import (
 from eval.report.figures import overlay_figure, recorded_figure
 from eval.report.tables import Shown, Summary
 from eval.report.view import LogView, view_of
+from eval.run_logs import evaluation_logs, run_config
 from narxcal.calibration.bundle import Bundle, load_bundle, save_bundle
 from narxcal.calibration.run_record import ScreeningRecord
 from narxcal.support.errors import ConfigError, DataError

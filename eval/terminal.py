@@ -20,7 +20,7 @@ from narxcal.intervals import LEVEL
 if TYPE_CHECKING:
     from eval.compare import Comparison
     from eval.crossval import CrossValidation
-    from eval.evaluate import LogEvaluation
+    from eval.log_evaluation import LogEvaluation
     from eval.scores import ChannelScores
 
 _WORDS = {True: ("PASS", "bold green"), False: ("FAIL", "bold red"), None: ("NOT ASSESSED", "bold")}

@@ -37,8 +37,8 @@ from data_prep.reading import read_logs
 from eval.diagnosis.applied import read_effects, read_emulator
 from eval.diagnosis.blind.files import read_cases
 from eval.diagnosis.learned import learned_by
-from eval.evaluate import evaluation_logs
 from eval.replay import ReplayModel, ReplayOptions, replay
+from eval.run_logs import evaluation_logs
 from narxcal import Narx
 from narxcal.calibration.bundle import load_bundle, save_bundle, seal
 from narxcal.cli.app import main as main_of

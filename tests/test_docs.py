@@ -8,7 +8,7 @@ from typing import get_args
 
 import pytest
 
-from eval.evaluate import EvaluateConfig
+from eval.run_logs import EvaluateConfig
 from narxcal.cli.app import COMMANDS, parse
 from narxcal.support.settings import Section
 from training.config import RunConfig

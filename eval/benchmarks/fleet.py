@@ -24,7 +24,7 @@ import numpy as np
 import pandas as pd
 
 from data_prep.reading import read_logs
-from eval.evaluate import run_config
+from eval.run_logs import run_config
 from narxcal.calibration.bundle import load_bundle
 from narxcal.support.files import log_csv
 

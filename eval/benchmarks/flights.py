@@ -19,9 +19,10 @@ from data_prep.log import Log
 from data_prep.prepare import hold_inputs, prepare
 from data_prep.reading import read_logs
 from eval.benchmarks import Row
-from eval.evaluate import Evaluation, evaluate, evaluation_logs, run_config
+from eval.evaluate import Evaluation, evaluate
 from eval.report.event_figures import summary_figure
 from eval.report.view import view_of
+from eval.run_logs import evaluation_logs, run_config
 from eval.transients import AssessedEvent, Tally, tally
 from narxcal.calibration.bundle import Bundle, load_bundle
 from narxcal.channels import channel

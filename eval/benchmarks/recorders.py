@@ -27,7 +27,8 @@ from data_prep.log import Finding, Log, Source
 from data_prep.prepare import hold_inputs, prepare, with_outputs
 from data_prep.reading import read_logs, shared_interval_s
 from eval.benchmarks import Row
-from eval.evaluate import Evaluation, bank_of, evaluate
+from eval.evaluate import Evaluation, evaluate
+from eval.run_logs import bank_of
 from narxcal.channels import channel
 from narxcal.support.errors import NarxcalError
 from training.config import RunConfig, load_config

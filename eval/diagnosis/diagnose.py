@@ -51,9 +51,10 @@ from eval.diagnosis.pairs import Pair, check_apart, files_in, log_name, read_pai
 from eval.diagnosis.simulators import Rerun, Simulate, Simulator, open_simulator
 from eval.diagnosis.where import locate
 from eval.diagnosis.words import in_words, listed, outcome, percent
-from eval.evaluate import evaluation_logs, role_of, run_config
+from eval.log_evaluation import role_of
 from eval.report import plot
 from eval.report.tables import Shown, Summary
+from eval.run_logs import evaluation_logs, run_config
 from narxcal.calibration.bundle import DOCUMENT, load_bundle
 from narxcal.effects.running import Emulator, with_load
 from narxcal.effects.steady import UnloggedSwitch

@@ -18,7 +18,7 @@ from data_prep.reading import read_logs
 from eval.diagnosis.flights import batch, record_of
 from eval.diagnosis.pairs import Pair, alike, pair_logs, simulated_log, with_known_inputs
 from eval.diagnosis.simulators import simulate_by
-from eval.evaluate import run_config
+from eval.run_logs import run_config
 from narxcal.calibration.bundle import DOCUMENT, Bundle, load_bundle, seal
 from narxcal.effects.library import hypotheses
 from narxcal.support.errors import DataError, ModelError

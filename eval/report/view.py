@@ -28,7 +28,7 @@ from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import DataError
 
 if TYPE_CHECKING:
-    from eval.evaluate import LogEvaluation
+    from eval.log_evaluation import LogEvaluation
     from narxcal.calibration.bundle import Bundle
     from narxcal.calibration.calibration import Calibration
     from training.estimator import Narx

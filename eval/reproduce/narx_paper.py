@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from data_prep.log import Log
-from eval.evaluate import LogEvaluation
+from eval.log_evaluation import LogEvaluation
 from eval.outcome import Outcome
 from eval.reproduce.data import FAMILIES, DataSets, Effort, cut, within
 from eval.reproduce.inputs import deviations, inputs

@@ -16,7 +16,7 @@ from data_prep.events import find_events
 from data_prep.log import Log
 from eval.crossval import CrossValidation, judge_fold, total
 from eval.crossval import spread as spread_of
-from eval.evaluate import EvaluateConfig, LogEvaluation, assess_log, run_config
+from eval.log_evaluation import LogEvaluation, assess_log
 from eval.report import event_figures, figures, tables
 from eval.report.page import worst_events
 from eval.report.style import NOTHING, Picture, unit
@@ -24,6 +24,7 @@ from eval.report.tables import Cell, Table, figure
 from eval.report.view import LogView, view_of
 from eval.reproduce.data import PHASES, SPEEDS, DataSets, Effort, phase_of, pieces, within
 from eval.reproduce.study import Claim, Study, or_nan, table_of
+from eval.run_logs import EvaluateConfig, run_config
 from eval.scores import max_relative_percent, score
 from eval.transients import AssessedEvent, Assessment, tally
 from narxcal.calibration.bundle import Bundle

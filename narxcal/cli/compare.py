@@ -8,8 +8,8 @@ from pathlib import Path
 
 from eval import terminal
 from eval.compare import SCHEMA, Comparison, Run, compare_runs
-from eval.evaluate import run_config
 from eval.report.page import RunHeader, compare_page
+from eval.run_logs import run_config
 from narxcal.calibration.bundle import Bundle, load_bundle
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_data, add_logs, add_out, add_trust, path

@@ -16,9 +16,9 @@ from eval.denoising import (
     snr_sweep,
     summarise,
 )
-from eval.evaluate import run_config
 from eval.outcome import Outcome
 from eval.report.page import noise_page
+from eval.run_logs import run_config
 from narxcal.calibration.bundle import load_bundle
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_data, add_logs, add_out, add_run

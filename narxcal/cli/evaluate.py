@@ -10,11 +10,12 @@ from typing import Any
 
 from data_prep.log import Log
 from eval import terminal
-from eval.evaluate import SCHEMA, Evaluation, certificate, run_config
+from eval.evaluate import SCHEMA, Evaluation, certificate
 from eval.outcome import Outcome
 from eval.report.page import evaluate_page
 from eval.results import changed
 from eval.results import judge as evaluated
+from eval.run_logs import run_config
 from narxcal.calibration.bundle import Bundle, load_bundle, read_document
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_data, add_logs, add_run, fraction, path

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from data_prep.prepare import hold_inputs
-from eval.evaluate import evaluation_logs
+from eval.run_logs import evaluation_logs
 from narxcal.calibration.bundle import Bundle, load_bundle
 from narxcal.channels import channel
 from narxcal.cli.console import Console

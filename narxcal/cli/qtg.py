@@ -9,7 +9,6 @@ from pathlib import Path
 
 from data_prep.log import Log
 from data_prep.prepare import cautions
-from eval.evaluate import recorded_logs, run_config
 from eval.qtg import (
     WORDS,
     Guide,
@@ -21,6 +20,7 @@ from eval.qtg import (
 )
 from eval.report.qtg_pages import guide_pdf
 from eval.rules import RULES, TOLERANCE_SHARE
+from eval.run_logs import recorded_logs, run_config
 from eval.transients import TransientsConfig
 from narxcal.calibration.bundle import Bundle, load_bundle
 from narxcal.cli.console import Console

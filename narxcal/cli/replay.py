@@ -6,8 +6,8 @@ from argparse import ArgumentParser, Namespace
 from dataclasses import replace
 
 from data_prep.log import Finding
-from eval.evaluate import file_findings
 from eval.replay import ReplayModel, ReplayOptions, ReplaySummary, replay
+from eval.run_logs import file_findings
 from narxcal.calibration.bundle import Bundle, load_bundle
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_interval, add_overwrite, add_run, path

@@ -25,7 +25,7 @@ from data_prep.reading import read_logs
 from eval.diagnosis.applied import FoundEffects, read_effects
 from eval.diagnosis.pairs import match_simulated, read_folder
 from eval.diagnosis.simulators import Simulate, open_simulator
-from eval.evaluate import bank_of
+from eval.run_logs import bank_of
 from narxcal.calibration.bundle import Bundle, load_bundle
 from narxcal.calibration.calibration import Calibration
 from narxcal.calibration.certificate import certificate_of

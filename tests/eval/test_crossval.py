@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from eval.crossval import CrossValidation, FoldResult, cross_validate, spread
-from eval.evaluate import EvaluateConfig
 from eval.report.page import RunHeader, crossval_page
 from eval.report.tables import measures
+from eval.run_logs import EvaluateConfig
 from narxcal.support.errors import DataError
 from training.config import RunConfig
 

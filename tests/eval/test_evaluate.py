@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from eval.evaluate import EvaluateConfig, evaluate, run_config
+from eval.evaluate import evaluate
+from eval.run_logs import EvaluateConfig, run_config
 from eval.scores import score
 from narxcal.calibration.bundle import Bundle
 from narxcal.support.errors import ConfigError, DataError, ModelError

@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eval.evaluate import evaluate, evaluation_logs
+from eval.evaluate import evaluate
+from eval.run_logs import evaluation_logs
 from training.config import load_config
 from training.pipeline import calibrate, configured_files, prepare_logs
 from training.records import split_logs

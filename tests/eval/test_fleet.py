@@ -10,9 +10,10 @@ import pandas as pd
 import pytest
 from fsspec.implementations.memory import MemoryFileSystem
 
-from eval.evaluate import assess_log, evaluation_logs, run_config
 from eval.fleet import Fleet, load_fleet
 from eval.fleet_rows import TABLES, batch_means
+from eval.log_evaluation import assess_log
+from eval.run_logs import evaluation_logs, run_config
 from narxcal.calibration.bundle import load_bundle, save_bundle
 from narxcal.cli import main
 from narxcal.support.addresses import Folder

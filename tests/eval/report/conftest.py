@@ -10,11 +10,13 @@ import pytest
 
 from data_prep.events import Event
 from data_prep.log import Audit, AuditEntry, Log, Source
-from eval.evaluate import EvaluateConfig, Evaluation, LogEvaluation
+from eval.evaluate import Evaluation
 from eval.free_run import FreeRun
+from eval.log_evaluation import LogEvaluation
 from eval.report.page import RunHeader
 from eval.report.view import LogView
 from eval.residuals import residual_tests
+from eval.run_logs import EvaluateConfig
 from eval.scores import ChannelScores
 from eval.transients import Overlay, TransientsConfig, assessed
 from eval.trim import Trim

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from eval.evaluate import EvaluateConfig, evaluate
+from eval.evaluate import evaluate
 from eval.report.page import evaluate_page
 from eval.report.style import number
 from eval.report.view import view_of
+from eval.run_logs import EvaluateConfig
 from narxcal.support.errors import DataError
 
 INPUTS = ("TRA_deg", "Mach")

@@ -15,7 +15,6 @@ from markupsafe import escape
 from data_prep.log import Audit, AuditEntry, Log
 from eval.crossval import CrossValidation, FoldResult
 from eval.denoising import NoiseSweep
-from eval.evaluate import EvaluateConfig
 from eval.outcome import Outcome
 from eval.preparation import most_to_show
 from eval.report import tables
@@ -33,6 +32,7 @@ from eval.report.page import (
 )
 from eval.report.style import number
 from eval.report.view import LogView
+from eval.run_logs import EvaluateConfig
 from eval.transients import AssessedEvent
 from eval.trim import Trim
 

@@ -10,8 +10,8 @@ from rich.console import Console
 
 from eval import terminal
 from eval.crossval import CrossValidation, FoldResult
-from eval.evaluate import EvaluateConfig
 from eval.report.style import number
+from eval.run_logs import EvaluateConfig
 
 LONG = "citation_20180312_flight1_recorded_on_the_left_engine_with_a_very_long_name.csv.gz:left#2"
 

@@ -9,7 +9,6 @@ import pytest
 
 from data_prep.events import find_events
 from eval.crossval import CrossValidation, FoldResult
-from eval.evaluate import EvaluateConfig
 from eval.reproduce.data import Effort, within
 from eval.reproduce.inputs import deviations, fed_record, fed_variants, inputs, variants
 from eval.reproduce.narx_paper import family_of, goal, goal_config, goal_training
@@ -30,6 +29,7 @@ from eval.reproduce.response import (
     worst_of,
     worst_relative_pct,
 )
+from eval.run_logs import EvaluateConfig
 from narxcal.calibration.calibration import narx_features
 from training.pipeline import calibrate
 
