@@ -2,7 +2,8 @@
 
 A test is one event of `eval.log_evaluation`, with the same assessments to the last digit. What is
 chosen, titled and annotated stands in a TOML or CSV file of tests (`TestsFile`); `start_file`
-writes one of all events found. A `Guide` that was saved is the master of later, recurrent evaluations.
+writes one of all events found. A `Guide` that was saved is the master of later, recurrent
+evaluations.
 """
 
 from __future__ import annotations
