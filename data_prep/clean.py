@@ -6,14 +6,15 @@ Signals and masks are `(time,)`, NaN where nothing was measured.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 from scipy.ndimage import median_filter
-from scipy.special import stdtrit
+from scipy.optimize import brentq
+from scipy.special import betainc, ndtr, roots_hermitenorm, stdtrit
 
 from data_prep.equilibrium import peak_to_peak
 from data_prep.faults import (
@@ -43,8 +44,10 @@ from narxcal.support.settings import Section
 
 Method = Literal["3-sigma", "grubbs"]
 
-# The spread of the residual is taken over this many median windows.
+# The spread of the residual is taken over this many median windows, of so many samples at least:
+# the median of fewer is short of that of all, of which up to a third are zero.
 _SPREAD_WINDOWS = 10
+_LEAST_BLOCK = 11
 # Less than this part of the channel's range is no gross error, however quiet the channel is:
 # without it the last digit of a noise-free simulation would be one.
 _LEAST_PART = 0.002
@@ -189,6 +192,27 @@ def running_median(values: FloatArray, window: int) -> FloatArray:
     return np.asarray(median_filter(values, size=window, mode="nearest"))
 
 
+@cache
+def typical_residual(window: int) -> float:
+    """Return the median of |x - running median| for white Gaussian x of standard deviation 1.
+
+    0.674 in a long window, 0.314 in one of 3, where each third sample is the median itself. Of the
+    2h other samples h have to lie at or below u + m for the median not to exceed it, of x = u:
+
+        P(|u - median| <= m) = P(B(2h, F(u + m)) >= h) - P(B(2h, F(u - m)) >= h + 1)
+    """
+    half = window // 2
+    u, weights = roots_hermitenorm(80)
+    weights = weights / weights.sum()
+
+    def within(m: float) -> float:
+        not_above = betainc(half, half + 1, ndtr(u + m))
+        below = betainc(half + 1, half, ndtr(u - m))
+        return float(weights @ (not_above - below)) - 0.5
+
+    return float(brentq(within, 0.0, 1.0))
+
+
 @dataclass(frozen=True)
 class Deviations:
     """How far samples `(time,)` lie from the running median of `window`, for tests of any limit.
@@ -207,16 +231,17 @@ class Deviations:
 
     @cached_property
     def spread(self) -> FloatArray:
-        """Standard deviation of the residual around each sample."""
+        """Standard deviation of the noise around each sample."""
         # The median of a quantised residual is short of its spread by up to half a step, and may
         # be zero where the noise is not.
-        slow = 1.4826 * _slow_median(np.abs(self.residual), self.window)
+        block = max(self.window, _LEAST_BLOCK)
+        slow = _slow_median(np.abs(self.residual), block) / typical_residual(self.window)
         return np.maximum(slow + 0.5 * self.step, self.step)
 
     def gross(self, sigmas: float, method: Method) -> BoolArray:
         """Flag gross errors.
 
-        Local: a sample has to leave the median by `sigmas` standard deviations of the residual
+        Local: a sample has to leave the median by `sigmas` standard deviations of the noise
         around it, on top of what the median itself moves within its window. A slam is monotone,
         so its residual is zero; a peak is no sharper than the median around it.
         """
@@ -246,13 +271,13 @@ def deviations(values: FloatArray, window: int) -> Deviations:
     )
 
 
-def _slow_median(values: FloatArray, window: int) -> FloatArray:
-    """Median over ten windows, evaluated once per window and interpolated in between."""
-    blocks = _blocks(values, window)
+def _slow_median(values: FloatArray, block: int) -> FloatArray:
+    """Median over ten blocks, evaluated once per block and interpolated in between."""
+    blocks = _blocks(values, block)
     # Only the last one is padded, and a median that passes over NaN takes three times as long.
     coarse = np.append(np.median(blocks[:-1], axis=1), np.nanmedian(blocks[-1]))
     slow = median_filter(coarse, size=_SPREAD_WINDOWS + 1, mode="nearest")
-    centres = (np.arange(len(coarse)) + 0.5) * window
+    centres = (np.arange(len(coarse)) + 0.5) * block
     return np.interp(np.arange(len(values)), centres, slow)
 
 

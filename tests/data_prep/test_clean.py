@@ -15,6 +15,7 @@ from data_prep.clean import (
     clean,
     deviations,
     running_median,
+    typical_residual,
 )
 from data_prep.log import Log
 
@@ -58,6 +59,24 @@ def test_isolated_spikes_are_repaired_and_counted(method, seed):
 def test_few_good_samples_of_white_noise_are_touched(method):
     cleaned = clean(log_of(N1_pct=noisy(count=30_000)), CleanConfig(method=method))
     assert sum(entry.samples for entry in cleaned.audit.entries) < 0.003 * 30_000
+
+
+@pytest.mark.parametrize("window", [3, 5, 11, 33])
+def test_the_spread_of_white_noise_is_found_in_a_window_of_any_length(window):
+    noise = np.random.default_rng(0).normal(size=200_000)
+    away = np.abs(noise - running_median(noise, window))
+    assert typical_residual(window) == pytest.approx(np.median(away), rel=0.02)
+
+
+@pytest.mark.parametrize("dt_s", [1.0, 0.5, 0.25])
+def test_a_slow_recorder_loses_no_good_sample_and_no_spike(dt_s):
+    values = 650.0 + np.random.default_rng(1).normal(0.0, 1.2, 5000)
+    spikes = np.arange(40, 5000, 160)
+    values[spikes] += 25.0
+    cleaned = clean(Log("flight:left", np.arange(5000) * dt_s, {"EGT_C": values}))
+    masked = np.isnan(cleaned["EGT_C"])
+    assert masked[spikes].all()
+    assert masked.sum() - len(spikes) <= 1
 
 
 @pytest.mark.parametrize("method", METHODS)
