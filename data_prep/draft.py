@@ -96,13 +96,14 @@ class Draft:
     """Columns and engines of a recorder's files, as far as they follow from the first of them.
 
     `unused` are columns that may be channels and were not taken, with the reason; `others` those
-    that are no channel of the table and may be declared.
+    that are no channel of the table and may be declared; `unknown` those whose name says nothing.
     """
 
     lines: tuple[Line, ...]
     engines: Mapping[str, str]
     unused: Mapping[str, str] = field(default_factory=dict)
     others: tuple[Line, ...] = ()
+    unknown: tuple[str, ...] = ()
 
     def logs(self, **keys: object) -> LogsConfig:
         """Return the table [logs] in which what is open is left as recorded, to look at the logs.
@@ -151,7 +152,8 @@ def draft(paths: Sequence[Path]) -> Draft:
     readings = {
         column: reading
         for column in table.header
-        if (reading := read_name(column)) and (reading.channel != "time_s" or column == time)
+        if (reading := read_name(column, unit_text(table, column, "")))
+        and (reading.channel != "time_s" or column == time)
     }
     if not any(CHANNELS[each.channel].role == "output" for each in readings.values()):
         raise DataError(
@@ -242,7 +244,12 @@ class _Drafting:
             if line:
                 lines.append(line)
         engines = {_engine_name(mark): mark for mark in marks}
-        return Draft(tuple(lines), engines, self.unused, self._others(marks))
+        others = self._others(marks)
+        own = [str(line.keys["column"]) for line in others]
+        named = {each.replace(ENGINE, mark) for each in own for mark in marks or [""]}
+        named |= self.readings.keys()
+        unknown = tuple(each for each in self.table.header if each.strip() and each not in named)
+        return Draft(tuple(lines), engines, self.unused, others, unknown)
 
     def _others(self, marks: Collection[str]) -> tuple[Line, ...]:
         """Return lines of columns that are no channel, and have a unit of an engine's quantity."""
@@ -297,7 +304,7 @@ class _Drafting:
         """
         ranked = sorted(templates.values(), key=lambda each: self.readings[each[0]].doubt)
         if name in (*SPOOLS, "command"):
-            turns = [each for each in ranked if self._unit(each[0]) == PER_MINUTE]
+            turns = [each for each in ranked if named_unit(self._unit(each[0])) == PER_MINUTE]
             shares = [each for each in ranked if each not in turns]
             if turns and shares and not self._proportional(turns[0][0], shares[0][0]):
                 ranked = [*turns, *shares]
@@ -378,7 +385,7 @@ class _Drafting:
         keys, said = self._column(columns), self._unit(columns[0])
         low, high = self._range(columns)
         seen = f"{low:.4g} to {high:.4g}"
-        if said.casefold() == PER_MINUTE or (name in SPOOLS and high > 2.0 * _HIGHEST[name][1]):
+        if named_unit(said) == PER_MINUTE or (name in SPOOLS and high > 2.0 * _HIGHEST[name][1]):
             why = f"100 / (rpm at 100 %); {seen}, so 100 % at the highest would be {100 / high:.6g}"
             return Line(name, {**keys, "scale": OPEN}, why, 100.0 / high)
         if said or name not in _UNITS:

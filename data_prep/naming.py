@@ -13,7 +13,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 from data_prep.config import ENGINE
-from data_prep.units import base_unit, find_unit, is_volume_flow, named_unit
+from data_prep.units import base_unit, find_unit, is_pressure, is_volume_flow, named_unit
 from narxcal.channels import CHANNELS, ENDINGS, FIELD_NAMES, SPOOLS, described, symbol
 from narxcal.support.errors import ConfigError
 
@@ -24,6 +24,10 @@ def _words(text: str) -> frozenset[str]:
     return frozenset(text.split())
 
 
+# Names that say a channel together with their unit alone: the speed of an engine of one spool, and
+# the pressure around it; and the word of that channel.
+_SPEED = ("n", "speed")
+_BAROMETER = _words("baro barometer barometric pbaro pamb p0 patm amb ambient pressure cell p test")
 _WORD = re.compile(r"%|[A-Z]?[a-z]+\d*|[A-Z]+\d*[A-Z]*(?![a-z])|\d+[A-Za-z]*|[A-Za-z]\w*")
 _IN_BRACKETS = re.compile(r"[\[({<]([^][(){}<>]*)[\])}>]\s*$")
 _SIDES = ("l", "r", "lh", "rh", "left", "right", "le", "re", "lft", "rgt", "port", "stbd")
@@ -71,10 +75,12 @@ class _Word(NamedTuple):
     stop: int
 
 
-def read_name(column: str) -> Reading | None:
+def read_name(column: str, unit: str = "") -> Reading | None:
     """Return the best reading of a column's name; None for a column that is no channel.
 
-    Brackets that end it may hold its unit, which `data_prep.columns.unit_text` reads.
+    Brackets that end it may hold its unit, which `data_prep.columns.unit_text` reads. With the
+    `unit` that the file says, a name that any speed may have is read as the only spool's, and the
+    pressure around a test cell as the altitude that it stands for.
     """
     if column in CHANNELS:  # also `dT_C`, of which a part is a step of time elsewhere
         return Reading(column, column, unit=column.partition("_")[2].casefold())
@@ -83,7 +89,17 @@ def read_name(column: str) -> Reading | None:
     own = column if brackets is None or named else column[: brackets.start()]
     words = [_Word(found[0].casefold(), *found.span()) for found in _WORD.finditer(own)]
     found = list(_readings(column, words))
+    if not found and named_unit(unit) in (PER_MINUTE, "%"):
+        turns = [word._replace(text=PER_MINUTE) if word.text in _SPEED else word for word in words]
+        found = list(_readings(column, turns))
+    if not found and is_pressure(unit) and _is_barometer([word.text for word in words]):
+        found = [Reading("ALT_ft", column)]
     return min(found, key=lambda each: each.doubt, default=None)
+
+
+def _is_barometer(words: Sequence[str]) -> bool:
+    """Whether words mean the pressure around the engine: `PBARO`, `cell pressure`, `P ambient`."""
+    return {*words} <= _BAROMETER and not {*words} <= {"p", "pressure", "test"}
 
 
 def declarable(column: str, unit: str, marks: Collection[str]) -> tuple[str, str, str] | None:
@@ -217,7 +233,7 @@ def _named(words: Sequence[str]) -> tuple[str, int] | None:
 
 def fits(unit: str, name: str) -> bool:
     """Whether text names a unit in which channel `name` may be recorded."""
-    if unit.casefold() == PER_MINUTE and name in SPOOLS:
+    if named_unit(unit) == PER_MINUTE and name in SPOOLS:
         return True
     if is_volume_flow(unit):
         return described(name).unit == "kg/h"

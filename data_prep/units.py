@@ -7,6 +7,7 @@ import re
 from dataclasses import dataclass
 from functools import lru_cache
 
+from narxcal.atmosphere import pressure_altitude
 from narxcal.channels import ENDINGS, described
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError
@@ -14,13 +15,17 @@ from narxcal.support.errors import ConfigError
 
 @dataclass(frozen=True)
 class Unit:
-    """`value in base unit = value * scale + offset`; the base is the canonical channel's unit."""
+    """`value in base unit = value * scale + offset`; the base is the canonical channel's unit.
+
+    Of the dimension `PRESSURE_ALTITUDE` the base is kPa, and the altitude follows from it.
+    """
 
     dimension: str
     scale: float
     offset: float = 0.0
 
 
+PRESSURE_ALTITUDE = "pressure altitude"
 _POUND_KG = 0.45359237  # exact, international avoirdupois pound
 _FOOT_M = 0.3048  # exact
 _MILE_M = 1852.0  # exact, international nautical mile
@@ -206,6 +211,8 @@ def find_unit(name: str, canonical: str) -> Unit:
     known = _lookup(name, canonical)
     if target.name == "dT_C" and known.dimension == "temperature":
         return Unit("difference", known.scale)  # a difference has no zero point
+    if target.name == "ALT_ft" and known.dimension == "pressure":
+        return Unit(PRESSURE_ALTITUDE, known.scale)  # of a barometer, as in a test cell
     if target.unit == "%" and known.dimension == "number":
         return Unit("ratio", 100.0)
     wanted = _UNITS[target.unit].dimension
@@ -224,6 +231,12 @@ def find_unit(name: str, canonical: str) -> Unit:
 def named_unit(cell: str) -> str:
     """The unit that a cell such as `[deg C]` or `KG/H` of a row of units names; empty if none."""
     return _BY_TEXT.get(_plain(cell), "")
+
+
+def is_pressure(cell: str) -> bool:
+    """Whether a cell of a row of units names a pressure."""
+    unit = named_unit(cell)
+    return bool(unit) and _UNITS[unit].dimension == "pressure"
 
 
 def base_unit(name: str) -> str:
@@ -284,6 +297,8 @@ def _fitting(canonical: str) -> list[str]:
 
 def to_canonical(values: FloatArray, unit: Unit) -> FloatArray:
     """Apply `unit`; values already in the canonical unit come back untouched, bit for bit."""
+    if unit.dimension == PRESSURE_ALTITUDE:
+        return pressure_altitude(values * unit.scale)
     if unit.scale == 1.0 and unit.offset == 0.0:
         return values
     return values * unit.scale + unit.offset

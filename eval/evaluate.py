@@ -137,14 +137,14 @@ class Evaluation:
             own = [one for one in self.logs if one.log.source.engine == engine]
             found = [each for one in own for each in one.assessments]
             whose = f"Ti/Tt of engine {engine}" if engine else "Ti/Tt"
+            rated = self.config.transients.channels
+            channels = [name for name in rated if name in own[0].run.channels]
             if not any(each.verdict.ok is not None for each in found):
                 reasons = not_assessable(found)
-                most = max(reasons, key=lambda name: reasons[name], default="no event was found")
+                none = "no event was found" if channels else _none_rated(rated, own[0].run.channels)
+                most = max(reasons, key=lambda name: reasons[name], default=none)
                 texts.append(f"{whose}: no transient could be assessed ({most})")
                 continue
-            channels = [
-                name for name in self.config.transients.channels if name in own[0].run.channels
-            ]
             texts += too_few(counts(found, channels), self.config.least_events, whose)
         return texts
 
@@ -321,6 +321,14 @@ def mixture_sentences(bundle: Bundle) -> tuple[str, ...]:
         ]
         found.append(f"{symbol(name)} is {', '.join(parts)}.")
     return tuple(found)
+
+
+def _none_rated(rated: Sequence[str], outputs: Sequence[str]) -> str:
+    return (
+        f"the model has no output {' or '.join(rated)}, and nothing says how its "
+        f"{', '.join(outputs)} are judged: before training, name channels and their "
+        "least_response in [evaluate.transients]"
+    )
 
 
 def _against_baselines(one: LogEvaluation) -> str:

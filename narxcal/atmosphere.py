@@ -82,6 +82,19 @@ def isa(alt_ft: ArrayLike) -> tuple[FloatArray, FloatArray]:
     return temperature, pressure * np.exp(-_G * above / (_R * _TROPOPAUSE_K))
 
 
+def pressure_altitude(pressure_kpa: ArrayLike) -> FloatArray:
+    """Return the altitude [ft] at which the standard atmosphere has a static pressure: `isa`.
+
+    NaN for a pressure that is not positive.
+    """
+    ratio = np.asarray(pressure_kpa, dtype=np.float64) * 1000.0 / P0_PA
+    ratio = np.where(ratio > 0.0, ratio, np.nan)
+    lower = (1.0 - ratio ** (_R * _LAPSE / _G)) * T0_K / _LAPSE
+    tropopause = (_TROPOPAUSE_K / T0_K) ** (_G / (_R * _LAPSE))
+    above = np.log(tropopause / ratio) * _R * _TROPOPAUSE_K / _G
+    return np.where(lower <= _TROPOPAUSE_M, lower, _TROPOPAUSE_M + above) / FT_M
+
+
 def air_state(alt_ft: ArrayLike, mach: ArrayLike = 0.0, dt_c: ArrayLike = 0.0) -> AirState:
     """Compute the air at pressure altitude [ft], Mach number and static deviation from ISA [degC].
 

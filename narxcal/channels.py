@@ -89,7 +89,7 @@ FIELD_NAMES: dict[str, tuple[str, ...]] = {
         "power lever angle, throttle position, power lever position, thrust lever position",
         "ALT_ft": "alt, altitude, hp, palt, pressure altitude, altitude press, altitude pressure, "
         "altp, press alt, baro alt, baro altitude, alt std, altitude std, std altitude, "
-        "pressure alt",
+        "pressure alt, alt b, alt ind, indicated altitude",
         "Mach": "mach, mn, mach no, mach number",
         "dT_C": "disa, delta isa, isa dev, isa deviation, dtisa",
         "WOW": "wow, weight on wheels, air ground, gnd air, squat, squat switch, on ground, "
@@ -112,7 +112,8 @@ FIELD_NAMES: dict[str, tuple[str, ...]] = {
         "FPR": "fpr, fan pressure ratio",
         "EPR": "epr, engine pressure ratio",
         "SAT_C": "sat, oat, tamb, static air temp, static air temperature, outside air temp, "
-        "outside air temperature, ambient temp, ambient temperature, air temp",
+        "outside air temperature, ambient temp, ambient temperature, air temp, t cell, t ambient, "
+        "cell temp, cell temperature, test cell temp, test cell temperature",
         "TAT_C": "tat, rat, total air temp, total air temperature, ram air temperature",
         "CAS_kt": "cas, ias, kias, kcas, vcas, vias, airspeed, air speed, calibrated airspeed, "
         "computed airspeed, indicated airspeed, airspeed comp, airspeed computed",

@@ -39,6 +39,7 @@ _OUTPUTS = ("N1_pct", "N2_pct", "EGT_C")
 _BELOW = 0.9  # of the lowest idle: where the engine no longer counts as running
 _IDLES_S = 10.0  # a speed that stands for so long
 _IDLES_PCT = 1.0  # within so much
+_MOST_UNKNOWN = 20  # columns that are named in one line
 _TRAINED = 2.0 / 3.0  # of the files
 
 
@@ -93,7 +94,7 @@ class _Text:
         air = [name for name in _AIR if name in there]
         outputs = [name for name in _OUTPUTS if name in there and name != driver]
         lacking = ", ".join(name for name in _AIR if name not in there)
-        without = f"  # the logs have no {lacking}, so the model knows none" if lacking else ""
+        without = f"  # no column is known as {lacking}: the model knows none" if lacking else ""
         response = next((name for name in SPOOLS if name in outputs), outputs[0])
         parts = [
             f'schema = "{SCHEMA}"\nname = {_toml(self.files[0].stem.partition(".")[0])}\n',
@@ -120,6 +121,8 @@ class _Text:
             lines += [f"{name} = {_toml(mark)}" for name, mark in self.columns.engines.items()]
         lines += ["", "[logs.columns]", *map(str, self.columns.lines)]
         lines += [f"# not used: {_toml(name)}, {why}" for name, why in self.columns.unused.items()]
+        if self.columns.unknown:
+            lines.append(f"# not known, give one to a channel to use it: {self._unknown()}")
         if self.columns.others:
             lines += [
                 "# no built-in channels: to use one, take the # away here and below, and name it",
@@ -137,6 +140,11 @@ class _Text:
                 'WOW = { airspeed = "CAS_kt", below_kt = 60.0, hysteresis_kt = 10.0 }',
             ]
         return "\n".join(lines) + "\n"
+
+    def _unknown(self) -> str:
+        names = [_toml(each) for each in self.columns.unknown[:_MOST_UNKNOWN]]
+        more = len(self.columns.unknown) - len(names)
+        return ", ".join([*names, *([f"and {more} more"] if more else [])])
 
     def _flies(self) -> bool:
         """Whether Mach and altitude show an aircraft in flight, not an engine on a bench."""

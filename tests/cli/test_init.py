@@ -48,6 +48,20 @@ def test_what_is_open_is_named_and_refused_until_it_is_filled_in(logs, narxcal, 
     assert config["split"]["test"] == ["day_3.csv*"]
 
 
+def test_columns_that_say_nothing_are_named(logs, narxcal, tmp_path):
+    path, names = tmp_path / "more.csv", [f"x{number} [V]" for number in range(30)]
+    table = np.column_stack([TIME_S, SPEED_PCT / 2.0, SPEED_PCT, *30 * [TIME_S]])
+    header = ",".join(["t [s],TLA [deg],N1 [%]", *names])
+    np.savetxt(path, table, fmt="%.6g", delimiter=",", header=header, comments="")
+    narxcal("init", path, "--out", tmp_path / "mine.toml")
+    text = (tmp_path / "mine.toml").read_text("utf-8")
+    twenty = ", ".join(json.dumps(name) for name in names[:20])
+    assert f"# not known, give one to a channel to use it: {twenty}, and 10 more\n" in text
+    assert "no column is known as ALT_ft, Mach, dT_C: the model knows none\n" in text
+    narxcal("init", *logs, "--out", tmp_path / "other.toml")
+    assert "not known" not in (tmp_path / "other.toml").read_text("utf-8")
+
+
 def test_a_configuration_that_is_there_is_not_replaced(logs, narxcal, tmp_path):
     (tmp_path / "mine.toml").write_text("mine", "utf-8")
     done = narxcal("init", *logs, "--out", tmp_path / "mine.toml")

@@ -57,6 +57,13 @@ def test_recorded_units_become_the_one_of_the_name(name, unit, value):
     assert found == pytest.approx(value, rel=1e-12)
 
 
+def test_a_barometer_is_a_pressure_altitude():
+    found = to_canonical(np.array([1013.25, 696.817]), find_unit("hPa", "ALT_ft"))
+    np.testing.assert_allclose(found, [0.0, 10000.0], atol=0.2)  # ISO 2533: 696.817 hPa
+    with pytest.raises(ConfigError, match="is a pressure, this channel is a temperature"):
+        find_unit("hPa", "EGT_C")
+
+
 def test_columns_are_read_into_declared_channels_in_their_units(tmp_path):
     flight = write(tmp_path / "flight.csv", 1, 20.0)
     config = LogsConfig.parse({"channels": CHANNELS, "columns": COLUMNS})

@@ -102,6 +102,25 @@ def test_a_percentage_that_is_not_proportional_gives_way_to_revolutions(tmp_path
     assert found.unused == {"rpm_pct": "N1_pct is 'rpm'"}
 
 
+def test_a_test_cell_has_a_speed_and_air_by_its_units(tmp_path):
+    path = csv(
+        tmp_path,
+        "t [s],WF [g/s],N [rpm],T5 [degC],PBARO [hPa],TCELL [degC],Valve,Bus [V]",
+        *(TIME_S, 2 * SPEED_PCT, 142 * SPEED_PCT, 4 * SPEED_PCT),
+        *(1000 + TIME_S / 50, 15 + TIME_S / 50, TIME_S, TIME_S),
+    )
+    found = draft([path])
+    assert lines(found) == {
+        "time_s": {"column": "t [s]", "unit": "s"},
+        "ALT_ft": {"column": "PBARO [hPa]", "unit": "hPa"},
+        "N1_pct": {"column": "N [rpm]", "scale": OPEN},
+        "EGT_C": {"column": "T5 [degC]", "unit": "degC"},
+        "FF_kgph": {"column": "WF [g/s]", "unit": "g/s"},
+        "SAT_C": {"column": "TCELL [degC]", "unit": "degC"},
+    }
+    assert found.unknown == ("Valve", "Bus [V]")
+
+
 def test_channels_with_rates_need_no_stamps(tmp_path):
     path = tmp_path / "flight.mat"
     channels = {

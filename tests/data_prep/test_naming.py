@@ -59,3 +59,27 @@ def test_a_demanded_speed_is_no_measured_one():
 @pytest.mark.parametrize("name", CHANNELS)
 def test_a_canonical_name_is_read_as_itself(name):
     assert read_name(name)[:2] == (name, name)
+
+
+@pytest.mark.parametrize(
+    ("column", "unit", "channel"),
+    [
+        ("N [rpm]", "rpm", "N1_pct"),
+        ("Engine 2 speed", "1/min", "N1_pct"),
+        ("Pamb", "kPa", "ALT_ft"),
+        ("P_amb [mbar]", "mbar", "ALT_ft"),
+        ("Barometric pressure", "inHg", "ALT_ft"),
+    ],
+)
+def test_a_unit_settles_what_a_name_leaves_open(column, unit, channel):
+    assert read_name(column) is None
+    assert read_name(column, unit).channel == channel
+
+
+@pytest.mark.parametrize(
+    ("column", "unit"),
+    [("N", "N"), ("GndSpeed", "kt"), ("Prop speed", "rpm"), ("P3", "kPa"), ("Oil pressure", "psi"),
+     ("Test P", "bar"), ("Ambient", "degC")],
+)  # fmt: skip
+def test_a_unit_settles_no_other_name(column, unit):
+    assert read_name(column, unit) is None

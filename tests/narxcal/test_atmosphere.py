@@ -17,6 +17,7 @@ from narxcal.atmosphere import (
     corrected_scale,
     isa,
     mach_of_cas,
+    pressure_altitude,
     static_temperature,
     total_ratios,
 )
@@ -160,3 +161,10 @@ def test_corrected_values_refer_to_sea_level(name, value, corrected):
 def test_a_total_probe_is_undone(static_c, mach, recovery):
     total_c = (static_c + 273.15) * (1.0 + 0.2 * recovery * mach**2) - 273.15
     assert static_temperature(total_c, mach, recovery) == pytest.approx(static_c, abs=1e-9)
+
+
+def test_pressure_altitude_is_the_altitude_at_which_the_atmosphere_has_that_pressure():
+    alt_ft = np.array([-1500.0, 0.0, 20000.0, 36089.0, 36090.0, 60000.0])
+    found = pressure_altitude(isa(alt_ft)[1] / 1000.0)
+    np.testing.assert_allclose(found, alt_ft, atol=1e-6)
+    assert np.isnan(pressure_altitude([0.0, -1.0])).all()

@@ -65,6 +65,19 @@ def test_nothing_to_assess_is_no_pass(make_bundle, make_log):
     assert result.document()["ok"] is False
 
 
+def test_a_model_without_a_channel_of_the_rules_says_so_and_not_that_nothing_moved(
+    make_bundle, make_log
+):
+    settings = EvaluateConfig(transients={"channels": ["NP_rpm"], "least_response": {"NP_rpm": 50}})
+    result = evaluate(make_bundle(), [make_log()], settings=settings)
+    reason = (
+        "the model has no output NP_rpm, and nothing says how its N1_pct, N2_pct are judged: "
+        "before training, name channels and their least_response in [evaluate.transients]"
+    )
+    expected = f"Ti/Tt of engine left: no transient could be assessed ({reason})"
+    assert expected in result.missed()
+
+
 def test_an_engine_of_which_nothing_could_be_assessed_is_no_pass(make_bundle, make_log, mask):
     lost = mask(make_log("flight.csv:right"), "Mach", slice(1, None))
     result = evaluate(make_bundle(), [make_log(), lost])
