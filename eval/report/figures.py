@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -113,43 +112,6 @@ def _judgement(part: ResidualTests) -> str:
     if found:
         texts.append(f"an effect of {', '.join(left)} is left" if left else _CHANCE)
     return f"{name}: {'; '.join(texts)}." if texts else f"{name}: too few samples to judge."
-
-
-def heat_map(table: pd.DataFrame, log: str, strong: float = 0.8) -> Picture:
-    """Draw Pearson coefficients (inputs x outputs), strong ones framed."""
-    inputs, outputs = list(map(str, table.index)), list(map(str, table.columns))
-    values = table.to_numpy(dtype=float)
-    figure = style.figure(1.6 + 0.75 * len(outputs), 0.7 + 0.34 * len(inputs))
-    axes = figure.subplots()
-    image = axes.pcolormesh(
-        np.ma.masked_invalid(values), cmap="PuOr_r", vmin=-1, vmax=1, edgecolors="white", lw=1.5
-    )
-    for (row, column), value in np.ndenumerate(values):
-        _coefficient(axes, row, column, float(value), strong)
-    axes.set_xticks(np.arange(len(outputs)) + 0.5, [symbol(name) for name in outputs])
-    axes.set_yticks(np.arange(len(inputs)) + 0.5, [symbol(name) for name in inputs])
-    axes.invert_yaxis()
-    axes.tick_params(
-        length=0, labelsize=8, top=True, labeltop=True, bottom=False, labelbottom=False
-    )
-    for side in axes.spines.values():
-        side.set_visible(False)
-    bar = figure.colorbar(image, ax=axes, shrink=0.9, ticks=[-1, -0.5, 0, 0.5, 1])
-    bar.ax.tick_params(labelsize=7)
-    bar.outline.set_visible(False)
-    bar.set_label("\N{GREEK SMALL LETTER RHO}", size=9, rotation=0, labelpad=8)
-    return picture(figure, f"Pearson coefficients of inputs and outputs in {log}", "")
-
-
-def _coefficient(axes: Axes, row: int, column: int, value: float, strong: float) -> None:
-    if not np.isfinite(value):
-        axes.text(column + 0.5, row + 0.5, "n/a", ha="center", va="center", size=8, color="#8c959f")
-        return
-    axes.text(
-        column + 0.5, row + 0.5, f"{value:+.2f}", ha="center", va="center", size=8,
-        color="white" if abs(value) > 0.65 else "#24292f",
-        weight="bold" if abs(value) >= strong else "normal",
-    )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

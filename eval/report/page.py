@@ -91,7 +91,7 @@ class PreparedLog:
     def of(cls, view: LogView, trial: figures.WindowTrial, number: str) -> PreparedLog:
         """Make the tables of one log."""
         macros = _macros()
-        parts = {"ranking": macros.rankings([view], pictures=False), "audit": macros.audits([view])}
+        parts = {"ranking": macros.rankings([view]), "audit": macros.audits([view])}
         return cls(view.name, number, len(view.events), trial, _packed(parts))
 
     def with_pictures(self, view: LogView) -> PreparedLog:
@@ -101,7 +101,6 @@ class PreparedLog:
             "overlay": macros.draw(figures.overlay(view), live.of_log(view)),
             "windows": macros.draw(figures.windows(self.trial)),
             "events": macros.contact_sheet(view, self.number),
-            "ranking": macros.rankings([view]),
         }
         return replace(self, parts={**self.parts, **_packed(parts)})
 

@@ -38,11 +38,21 @@ _MOST_NAMED = 2  # logs of a fold
 
 @dataclass(frozen=True)
 class Cell:
-    """Text of one cell; `mark` is its meaning, which the page turns into a style."""
+    """Text of one cell; `mark` is its meaning, which the page turns into a style.
+
+    `level`, -1 to 1, is shown as a colour: orange above zero, violet below.
+    """
 
     text: str
     mark: Mark = ""
     number: bool = False
+    level: float = 0.0
+
+    @property
+    def background(self) -> str:
+        """CSS colour of `level`, light enough for dark text."""
+        red_green_blue = "230 97 1" if self.level > 0.0 else "94 60 153"
+        return f"rgb({red_green_blue} / {0.5 * abs(self.level):.2f})"
 
 
 Row = tuple[Cell, ...]
@@ -146,7 +156,7 @@ def offsets(trim: Trim, channels: Sequence[str], caption: str) -> Table:
 
 
 def pearson(table: pd.DataFrame, caption: str, strong: float = 0.8) -> Table:
-    """Pearson coefficients with the strong ones marked; inputs down, outputs across."""
+    """Pearson coefficients in colours, strong ones bold; inputs down, outputs across."""
     rows = [
         row(symbol(str(name)), *(_coefficient(value, strong) for value in map(float, values)))
         for name, values in zip(table.index, table.to_numpy(dtype=float), strict=True)
@@ -155,8 +165,10 @@ def pearson(table: pd.DataFrame, caption: str, strong: float = 0.8) -> Table:
 
 
 def _coefficient(value: float, strong: float) -> Cell:
-    text = f"{value:+.3f}" if math.isfinite(value) else NOTHING
-    return Cell(text, "strong" if abs(value) >= strong else "", number=True)
+    if not math.isfinite(value):
+        return Cell(NOTHING, number=True)
+    mark: Mark = "strong" if abs(value) >= strong else ""
+    return Cell(f"{value:+.3f}", mark, number=True, level=value)
 
 
 def audit(record: Audit, caption: str) -> Table:

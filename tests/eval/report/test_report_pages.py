@@ -383,3 +383,14 @@ def test_the_browser_sees_what_is_wrong_with_a_page(browse):
     assert one["phone"]["wide"] == ["DIV. broad"]
     assert one["phone"]["width"] > one["phone"]["window"]
     assert one["desk"]["broken"] == ["#gone"]
+
+
+def test_coefficients_are_shaded_by_sign_and_size():
+    rho = pd.DataFrame({"N1_pct": [0.9, -0.5, 0.25, np.nan]}, ["TRA_deg", "Mach", "dT_C", "WOW"])
+    strong, negative, weak, missing = (cells[1] for cells in tables.pearson(rho, "").rows)
+    hue, share = zip(
+        *(cell.background.split(" / ") for cell in (strong, negative, weak)), strict=True
+    )
+    assert hue[0] == hue[2] != hue[1]
+    assert share == ("0.45)", "0.25)", "0.12)")
+    assert (strong.mark, negative.mark, missing.level) == ("strong", "", 0.0)
