@@ -344,7 +344,7 @@ def _caption(acting: Effect, parameters: Sequence[Parameter], sizes: Mapping[str
     """What it is, its sizes with their intervals, and how those are drawn."""
     given = {p.name: {**asdict(sizes[p.name]), "unit": p.unit} for p in parameters}
     meaning = f"{acting.meaning[:1].upper()}{acting.meaning[1:]}"
-    words = surest_words({"parameters": given})
+    words = surest_words({"id": acting.id, "channel": acting.channel, "parameters": given})
     return f"{meaning}: {words}. Shaded, or a thin line in a bar: 90 % interval."
 
 

@@ -66,11 +66,20 @@ def sizes_words(row: Mapping[str, Any]) -> str:
 
 
 def surest_words(row: Mapping[str, Any]) -> str:
-    """The same, but of sizes that may as well be nothing only their names."""
-    found = row["parameters"]
+    """The same, but of sizes that may as well be nothing only their names.
+
+    A size at the very value at which it does nothing is left out.
+    """
+    fixed = effect(name_of(row)).fixed if "id" in row else ()
+    neutral = {one.name: one.neutral for one in fixed}
+    found = {
+        name: size
+        for name, size in row["parameters"].items()
+        if size["value"] is None or size["value"] != neutral.get(name)
+    } or row["parameters"]
     nil = [name for name, size in found.items() if is_nil(size)]
     if len(nil) == len(found):
-        return sizes_words(row)
+        return sizes_words({"parameters": found})
     texts = [f"{name} {size_words(size)}" for name, size in found.items() if name not in nil]
     if nil:
         names = listed(nil) if len(nil) <= _MOST_NAMED else f"{len(nil)} others"

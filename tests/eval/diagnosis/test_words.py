@@ -57,3 +57,11 @@ def test_sizes_that_may_be_nothing_are_only_named():
     assert surest_words(row).endswith("; 4 others not distinct from 0")
     del row["parameters"]["a"]
     assert surest_words(row) == sizes_words(row)
+
+
+def test_a_size_at_which_it_does_nothing_is_left_out():
+    sizes = {"share": size(0.82, 0.81, 0.83), "most_pctps": size(30.0, 30.0, 30.0, "%/s")}
+    row = {"id": "accel_limit", "parameters": sizes}
+    assert surest_words(row) == "share 0.820 (0.810 to 0.830)"
+    row["parameters"] = {"share": size(1.0, 0.9, 1.1)}
+    assert surest_words(row) == "share 1.00 (0.90 to 1.10)"
