@@ -20,6 +20,7 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Final, Literal
 
 import numpy as np
+from scipy import stats
 
 from narxcal.effects.library import LIBRARY
 from narxcal.support.arrays import BoolArray, FloatArray, IntArray
@@ -28,16 +29,16 @@ from training.diagnosis.fit import Columns, Frame, Single, Solved, no_columns, s
 from training.diagnosis.metric import Record, assumed_variance
 from training.diagnosis.nuisances import BUILD, OFFSET, SMALL, START
 
-_Z: float = 1.645  # of a 90 % interval
+_LEVEL: Final = 0.95  # of Student's distribution: a 90 % interval
 
 
 @dataclass(frozen=True, eq=False)
 class Joint:
     """Effects fitted together: one node each, and the steps from it.
 
-    `theta` and `spread` hold parameters and their standard deviations per effect; `left_out`
-    (units,) are the fits without each unit, and `others` the parameters found there; nothing of a
-    single unit.
+    `theta` and `spread` hold parameters and their standard deviations per effect, `freedom` the
+    degrees of freedom that those were estimated with; `left_out` (units,) are the fits without each
+    unit, and `others` the parameters found there; nothing of a single unit.
     """
 
     nodes: tuple[Node, ...]
@@ -46,6 +47,7 @@ class Joint:
     left_out: tuple[Solved, ...]
     theta: tuple[FloatArray, ...]
     spread: tuple[FloatArray, ...]
+    freedom: tuple[FloatArray, ...]
     others: tuple[tuple[FloatArray, ...], ...]
 
     def components(self) -> list[FloatArray]:
@@ -130,18 +132,38 @@ def together(frame: Frame, singles: Sequence[Single]) -> Joint:
     units = len(frame.grams.dd)
     left_out = [solve(frame.grams, columns, u) for u in range(units)] if units > 1 else []
     steps = np.array([one.x for one in left_out]).reshape(len(left_out), len(found.x))
-    variance = np.diag(found.covariance).copy()
+    within = np.maximum(np.diag(found.covariance), 0.0)
+    between = np.zeros(len(within))
     if len(steps):
-        variance += (units - 1) / units * ((steps - steps.mean(axis=0)) ** 2).sum(axis=0)
-    joint = Joint(nodes, frame, found, tuple(left_out), (), (), ())
+        between = (units - 1) / units * ((steps - steps.mean(axis=0)) ** 2).sum(axis=0)
+    joint = Joint(nodes, frame, found, tuple(left_out), (), (), (), ())
+    freedom = _freedom((within, frame.grams.independent), (between, units - 1))
     theta = _thetas(joint, found.x)
-    spread = [np.zeros(len(t)) for t in theta]
-    for node, into, sd in zip(
-        nodes, spread, joint.parts(np.sqrt(np.maximum(variance, 0.0))), strict=True
-    ):
-        into[list(node.free)] = sd
     others = tuple(_thetas(joint, x) for x in steps)
-    return replace(joint, theta=theta, spread=tuple(spread), others=others)
+    spread = _of_parameters(joint, np.sqrt(within + between), 0.0)
+    return replace(
+        joint,
+        theta=theta,
+        spread=spread,
+        freedom=_of_parameters(joint, freedom, np.inf),
+        others=others,
+    )
+
+
+def _freedom(*parts: tuple[FloatArray, float]) -> FloatArray:
+    """Degrees of freedom of a sum of variances, each with its own (Welch 1947, Satterthwaite)."""
+    whole = np.sum([variance for variance, _ in parts], axis=0)
+    price = np.sum([variance**2 / max(own, 1.0) for variance, own in parts], axis=0)
+    none = np.full_like(whole, np.inf)
+    return np.asarray(np.divide(whole**2, price, out=none, where=price > 0.0))
+
+
+def _of_parameters(joint: Joint, steps: FloatArray, fixed: float) -> tuple[FloatArray, ...]:
+    """Values of the steps of all effects as ones of their parameters, `fixed` of the others."""
+    found = tuple(np.full(len(node.theta), fixed) for node in joint.nodes)
+    for node, into, part in zip(joint.nodes, found, joint.parts(steps), strict=True):
+        into[list(node.free)] = part
+    return found
 
 
 def _thetas(joint: Joint, x: FloatArray) -> tuple[FloatArray, ...]:
@@ -164,9 +186,12 @@ def by_others(joint: Joint) -> FloatArray | None:
     return change
 
 
-def interval(value: float, spread: float, low: float, high: float) -> tuple[float, float, float]:
-    """A value with its 90 % interval, within bounds."""
-    return value, max(low, value - _Z * spread), min(high, value + _Z * spread)
+def interval(
+    value: float, spread: float, low: float, high: float, freedom: float = np.inf
+) -> tuple[float, float, float]:
+    """A value with its 90 % interval, by Student's distribution, within bounds."""
+    reach = float(stats.t.ppf(_LEVEL, freedom)) * spread
+    return value, max(low, value - reach), min(high, value + reach)
 
 
 _SET: Final = 0.8  # of a credible set

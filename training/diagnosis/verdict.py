@@ -238,6 +238,9 @@ def _verdict(
 ) -> Verdict:
     """The most probable answer; a set where the first effect is not likelier than the others."""
     if not layers:
+        best = max(known, key=lambda name: known[name])
+        if known[best] > max(none, unknown):
+            return Verdict("unknown", (), (), _open(best, known[best], none, unknown))
         if none >= unknown:
             return Verdict(
                 "none", (), (), f"nothing acts beyond what builds and flights differ by{rests}"
@@ -253,6 +256,15 @@ def _verdict(
             "ambiguous", effects, confusable, "several effects explain the gap", manoeuvre
         )
     return Verdict("effects", effects, (), "", manoeuvre)
+
+
+def _open(best: str, chance: float, none: float, unknown: float) -> str:
+    """Why there is no firm answer where an effect leads, but is not likelier than all without."""
+    return (
+        f"the best candidate is {best} ({100.0 * chance:.0f} %), which is not likelier than that "
+        f"nothing acts ({100.0 * none:.0f} %) or something that the library lacks "
+        f"({100.0 * unknown:.0f} %)"
+    )
 
 
 def _weighed(
@@ -282,13 +294,14 @@ def _one(
     if name in claimed:
         k = claimed[name]
         node, theta, spread = joint.nodes[k], joint.theta[k], joint.spread[k]
+        freedom = joint.freedom[k]
     else:
         node, theta = single.node, single.theta
-        spread = np.zeros(len(theta))
+        spread, freedom = np.zeros(len(theta)), np.full(len(theta), np.inf)
         spread[list(node.free)] = np.sqrt(np.maximum(np.diag(single.solved.covariance), 0.0))
     parameters = {
-        p.name: Interval(*interval(float(v), float(s), p.low, p.high))
-        for p, v, s in zip(node.parameters, theta, spread, strict=True)
+        p.name: Interval(*interval(float(v), float(s), p.low, p.high, float(f)))
+        for p, v, s, f in zip(node.parameters, theta, spread, freedom, strict=True)
     }
     return Weighed(
         name,

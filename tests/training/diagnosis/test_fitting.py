@@ -7,7 +7,7 @@ import pytest
 
 from narxcal.effects import effect, respond
 from tests.training.diagnosis.conftest import recorded
-from training.diagnosis.budget import together
+from training.diagnosis.budget import interval, together
 from training.diagnosis.dictionary import Dictionary
 from training.diagnosis.fit import Frame
 from training.diagnosis.layers import Layer, Setting, further, stored_odds
@@ -59,6 +59,22 @@ def test_a_planted_fault_is_first_with_its_size_inside_the_interval(name, flight
     assert joint.theta[0][place] == pytest.approx(
         size, abs=max(3 * joint.spread[0][place], 0.03 * size)
     )
+
+
+def test_intervals_of_few_flights_that_differ_hold_the_true_size(flights, dictionary):
+    random, inside, single = np.random.default_rng(7), [], 0
+    n2 = flights.signals.y("N2_pct")
+    for seed in range(60):
+        y = flights.y.copy()
+        y[..., n2] *= 1.0 + 0.01 * (4.0 + random.normal(size=(4, 1)))
+        frame = frame_of(recorded(flights, y, seed))
+        joint = together(frame, [frame.fit(dictionary.nodes["sensor_gain:N2_pct"])])
+        (value,), (spread,), (freedom,) = joint.theta[0], joint.spread[0], joint.freedom[0]
+        _, low, high = interval(value, spread, -20.0, 20.0, freedom)
+        inside.append(low <= 4.0 <= high)
+        single += freedom >= 30.0
+    assert np.mean(inside) >= 0.88  # 0.85 by the normal distribution
+    assert single == 0
 
 
 def test_nothing_takes_anything_of_noise(flights, dictionary):

@@ -5,6 +5,7 @@ import pytest
 
 from tests.training.diagnosis.conftest import flights_of, recorded
 from training.diagnosis.budget import Phases
+from training.diagnosis.layers import FEATURES, OF_CASE, Odds, prior
 from training.diagnosis.metric import Record
 from training.diagnosis.nuisances import BUILD, OFFSET, SMALL, nuisances
 from training.diagnosis.verdict import Differences, Engines, concluded, weigh
@@ -20,9 +21,9 @@ class NoEmulator:
         return flights.y[rows] + (0.0 if shift is None else shift.settled)
 
 
-def answer(record, build=1.0):
+def answer(record, build=1.0, odds=None):
     phases = Phases(("all",), np.zeros(record.unit.shape, dtype=int))
-    return concluded(weigh(record, Engines(NoEmulator()), Differences(build=build)), phases)
+    return concluded(weigh(record, Engines(NoEmulator()), Differences(build=build), odds), phases)
 
 
 def test_a_shift_that_builds_differ_by_is_none_and_an_effect_of_this_very_engine(flights):
@@ -40,6 +41,29 @@ def test_a_shift_that_builds_differ_by_is_none_and_an_effect_of_this_very_engine
     )
     assert same.kind in ("effects", "ambiguous")
     assert same.effects[0].partition(":")[0] in ("deterioration", "sensor_bias", "sensor_gain")
+
+
+@pytest.mark.parametrize(
+    ("none", "unknown", "kind"), [(0.6, 0.6, "unknown"), (1.5, 0.1, "none"), (0.1, 1.5, "unknown")]
+)
+def test_nothing_acts_only_where_no_other_answer_is_likelier(flights, none, unknown, kind):
+    record = recorded(flights, flights.y + 8.0 * SHIFT)
+    rows = answer(record).facts["features"]
+    lead = max(row[0] + prior(name) for name, row in rows.items())
+    flat, case = (0.0,) * len(FEATURES), (0.0,) * len(OF_CASE)
+    scores = [(lead + np.log(times), *case[1:]) for times in (none, unknown)]  # of the best effect
+    found = answer(record, odds=Odds((1.0, *flat[1:]), *scores, flat, case))
+    best = max(found.effects, key=lambda one: one.probability)
+    assert found.none == pytest.approx(none * best.probability)
+    assert (found.verdict.kind, found.verdict.effects) == (kind, ())
+    reason = {
+        1.5: "nothing acts beyond what builds and flights differ by",
+        0.1: "something acts that no effect of the library explains",
+        0.6: f"the best candidate is {best.name} ({100.0 * best.probability:.0f} %), which is not "
+        f"likelier than that nothing acts ({100.0 * found.none:.0f} %) or something that the "
+        f"library lacks ({100.0 * found.unknown:.0f} %)",
+    }
+    assert found.verdict.reason.startswith(reason[none])
 
 
 def test_of_this_very_engine_nothing_else_differs_but_flights(flights):
