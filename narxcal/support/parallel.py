@@ -39,6 +39,9 @@ _AHEAD = 2  # items per worker that wait there, so that no worker waits for the 
 # Dask has glibc return memory at once, which also maps every array of 128 kB anew: of `prepare` in
 # a worker that was a quarter of the processor time, spent in the kernel (docs/fleet.md).
 _MALLOC = {"MALLOC_TRIM_THRESHOLD_": 1 << 28, "MALLOC_MMAP_THRESHOLD_": 1 << 25}
+# Dask samples the stack of a worker a hundred times a second and keeps an hour of that for its
+# dashboard: 2 MB more with each batch of a fleet (docs/fleet.md).
+_NO_PROFILE = {"distributed.worker.profile.enabled": False}
 _FLOORS = ("narxcal", "data_prep", "training", "eval")
 
 
@@ -177,10 +180,11 @@ def _local(distributed: Any, workers: int | None) -> Iterator[Any]:
 
     key = "distributed.nanny.pre-spawn-environ"
     quiet = {"silence_logs": "CRITICAL", "dashboard_address": None, "preload": [__name__]}
+    settings = {key: {**dask.config.get(key), **_MALLOC}, **_NO_PROFILE}
     # Without a dashboard the scheduler still serves its state, by default at one port for all.
     anywhere = {"dashboard_address": "127.0.0.1:0"}
     with (
-        dask.config.set({key: {**dask.config.get(key), **_MALLOC}}),
+        dask.config.set(settings),
         distributed.LocalCluster(
             n_workers=workers, threads_per_worker=1, scheduler_kwargs=anywhere, **quiet
         ) as made,

@@ -39,6 +39,13 @@ def refuse(item):
     raise LookupError(message)
 
 
+def samples_of_the_stack(_):
+    from distributed import get_worker  # noqa: PLC0415 -- an extra
+
+    time.sleep(0.1)
+    return get_worker().profile_recent["count"]
+
+
 @pytest.fixture
 def servers():
     with ExitStack() as stack:
@@ -70,6 +77,7 @@ def test_new_workers_compute_every_item_once_and_in_order():
         assert sorted(found) == [n * n for n in range(30)]
         apart = set(in_processes(process_id, range(20), 1))
         assert os.getpid() not in apart
+        assert not any(in_processes(samples_of_the_stack, range(2), 1))  # they would be kept
         with pytest.raises(LookupError, match=r"no \d"):
             list(in_processes(refuse, range(5), 1))
         results = in_processes(partial(square, pause_s=0.1), range(50), 1)
