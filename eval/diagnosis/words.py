@@ -15,7 +15,7 @@ NAMED: Final = {
     "build": "differences of build",
     "offsets": "flight offsets",
     "noise": "noise",
-    "unexplained": "explained by nothing in the library",
+    "unexplained": "not explained by the library",
 }
 VERDICTS: Final = {
     "none": "✓ NO EFFECT",
@@ -126,11 +126,9 @@ def sentences(document: Row) -> list[str]:
         named = listed([in_words(name) for name in verdict["effects"]])
         others = listed([in_words(name) for name in verdict["ambiguous_with"]], "or")
         found.append(f"Ambiguous: these flights do not separate {named} from {others}.")
-    left = shares.get("unexplained")
-    if left is not None:
-        found.append(
-            f"{percent(left['share'])} of the whole gap is explained by nothing in the library."
-        )
+    if (left := shares.get("unexplained")) is not None:
+        share = percent(left["share"]) if left["share"] < 1.0 else "All"
+        found.append(f"{share} of the gap is left: nothing in the library explains it.")
     return found
 
 

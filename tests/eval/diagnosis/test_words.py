@@ -6,7 +6,14 @@ import math
 
 import pytest
 
-from eval.diagnosis.words import in_words, listed, size_words, sizes_words, surest_words
+from eval.diagnosis.words import (
+    in_words,
+    listed,
+    sentences,
+    size_words,
+    sizes_words,
+    surest_words,
+)
 
 
 @pytest.mark.parametrize(
@@ -65,3 +72,11 @@ def test_a_size_at_which_it_does_nothing_is_left_out():
     assert surest_words(row) == "share 0.820 (0.810 to 0.830)"
     row["parameters"] = {"share": size(1.0, 0.9, 1.1)}
     assert surest_words(row) == "share 1.00 (0.90 to 1.10)"
+
+
+@pytest.mark.parametrize(("share", "said"), [(0.22, "22 %"), (1.21, "All")])
+def test_what_is_left_is_at_most_all_of_the_gap(share, said):
+    verdict = {"kind": "none", "effects": [], "reason": "noise", "ambiguous_with": []}
+    left = {"cause": "unexplained", "share": share}
+    found = sentences({"verdict": verdict, "effects": [], "budget": [left]})
+    assert found[-1] == f"{said} of the gap is left: nothing in the library explains it."
