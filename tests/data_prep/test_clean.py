@@ -15,7 +15,6 @@ from data_prep.clean import (
     clean,
     deviations,
     running_median,
-    typical_residual,
 )
 from data_prep.log import Log
 
@@ -62,10 +61,13 @@ def test_few_good_samples_of_white_noise_are_touched(method):
 
 
 @pytest.mark.parametrize("window", [3, 5, 11, 33])
-def test_the_spread_of_white_noise_is_found_in_a_window_of_any_length(window):
-    noise = np.random.default_rng(0).normal(size=200_000)
-    away = np.abs(noise - running_median(noise, window))
-    assert typical_residual(window) == pytest.approx(np.median(away), rel=0.02)
+@pytest.mark.parametrize("slope", [0.0, 0.5])
+def test_the_spread_of_white_noise_is_found_in_a_window_of_any_length_on_any_slope(window, slope):
+    noise = np.random.default_rng(0).normal(size=20_000)
+    found = deviations(noise + slope * np.arange(20_000), window).spread
+    low, middle, high = np.quantile(found, [0.01, 0.5, 0.99])
+    assert middle == pytest.approx(1.0, rel=0.15)
+    assert (low > 0.7, high < 1.6) == (True, True)
 
 
 @pytest.mark.parametrize("dt_s", [1.0, 0.5, 0.25])
