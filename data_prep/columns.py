@@ -117,12 +117,10 @@ def _column(table: Table, name: str, source: ColumnSource, engine: tuple[str, st
             channel=name,
             hint=_prefixes(source.column, table.header),
         )
-    raise DataError(
-        f"column '{column}' is missing",
-        file=table.path,
-        channel=name,
-        hint=f"{_sentence(_near(column, table.header))} Where a file may lack it: optional = true",
-    )
+    hint = _near(column, table.header)
+    if name != "time_s":
+        hint = f"{_sentence(hint)} Where a file may lack it: optional = true"
+    raise DataError(f"column '{column}' is missing", file=table.path, channel=name, hint=hint)
 
 
 def _sentence(hint: str) -> str:

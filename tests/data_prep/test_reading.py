@@ -271,6 +271,9 @@ def test_a_missing_column_and_a_wrong_prefix_name_what_is_there(tmp_path):
         "FILE, channel N1_pct: column 'lh_fam' is missing. Did you mean 'lh_fan' or 'rh_fan'? "
         "Where a file may lack it: optional = true"
     )
+    assert error_of(path, mapped(time_s={"column": "tt"})) == (
+        "FILE, channel time_s: column 'tt' is missing. Did you mean 't'?"
+    )
     config = LogsConfig.parse(
         {
             "engines": {"left": "eng1_"},
