@@ -70,8 +70,7 @@ def surest_words(row: Mapping[str, Any]) -> str:
 
     A size at the very value at which it does nothing is left out.
     """
-    fixed = effect(name_of(row)).fixed if "id" in row else ()
-    neutral = {one.name: one.neutral for one in fixed}
+    neutral = {one.name: one.neutral for one in effect(name_of(row)).fixed}
     found = {
         name: size
         for name, size in row["parameters"].items()

@@ -57,7 +57,8 @@ def test_a_size_has_the_digits_of_its_interval(found, words):
 
 
 def test_sizes_that_may_be_nothing_are_only_named():
-    row = {"parameters": {"a": size(1.0, 0.8, 1.2), "b": size(0.1, -0.1, 0.3)}}
+    sizes = {"a": size(1.0, 0.8, 1.2), "b": size(0.1, -0.1, 0.3)}
+    row = {"id": "deterioration", "parameters": sizes}
     assert surest_words(row) == "a 1.00 (0.80 to 1.20); b not distinct from 0"
     assert sizes_words(row) == "a 1.00 (0.80 to 1.20); b 0.10 (-0.10 to 0.30)"
     row["parameters"] |= {f"c{k}": size(0.0, -1.0, 1.0) for k in range(3)}
