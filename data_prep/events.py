@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import median
 from typing import Literal
 
 import numpy as np
@@ -217,8 +218,8 @@ class _Cutter:
 
     def _event(self, move: Move, stop: int, settled: bool, cut_short: bool) -> Event:
         values = self.driver.values
-        before = float(np.median(values[max(0, move.start - 3) : move.start + 1]))
-        after = float(np.median(values[min(move.stop, stop - 1) : stop]))
+        before = median(values[max(0, move.start - 3) : move.start + 1].tolist())
+        after = median(values[min(move.stop, stop - 1) : stop].tolist())
         return Event(
             log=self.log.name,
             start=move.start,
@@ -356,7 +357,7 @@ def _refined(values: FloatArray, noise: float, start: int, first: int) -> int:
     `values` (time,) begin with sample `first` of the log, rest up to sample `start` and end with
     the rise.
     """
-    level = float(np.median(values[: start - first + 1]))
+    level = median(values[: start - first + 1].tolist())
     rise = float(values[-1]) - level
     foot = np.flatnonzero(values[start - first :] <= level + 4.0 * noise)
     begin = start + (int(foot[-1]) if len(foot) else 0)
@@ -365,8 +366,11 @@ def _refined(values: FloatArray, noise: float, start: int, first: int) -> int:
     if rise <= 0.0 or end - begin < 2:
         return begin
     samples = np.arange(begin + 1, end + 1)
-    slope, offset = np.polyfit(samples, values[samples - first], 1)
+    rising = values[samples - first]
+    middle = float(samples.mean())
+    slope = float((samples - middle) @ rising / ((samples - middle) ** 2).sum())
     if slope <= 0.0:
         return begin
     lead = min(8.0 * noise / slope, begin)
-    return round(float(np.clip((level - offset) / slope, begin - lead, begin)))
+    back = middle - (float(rising.mean()) - level) / slope
+    return round(min(max(back, begin - lead), begin))
