@@ -20,7 +20,7 @@ from eval.information import Experiment, of_training
 from eval.run_logs import run_config
 from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.calibration import Calibration
-from narxcal.channels import described
+from narxcal.channels import is_switch
 from narxcal.flight_test.moves import CARD_SCHEMA, Limits, Move, course, moves
 from narxcal.intervals import LEVEL
 from narxcal.support.arrays import FloatArray
@@ -245,17 +245,18 @@ def check_channels(
     given = {lever, "ALT_ft", "Mach", "dT_C"}
     further = [name for name in inputs if name not in given]
     for table, names, known in (
-        ("highest", limits.highest, outputs),
-        ("inputs", limits.inputs, further),
+        ("[highest]", limits.highest, outputs),
+        ("[inputs]", limits.inputs, further),
+        ("switches", limits.switches, [*filter(is_switch, further)]),
     ):
         for name in names:
             if name not in known:
                 raise ConfigError(
-                    f"[{table}] names '{name}', which is none of its channels",
+                    f"{table} names '{name}', which is none of its channels",
                     hint=f"They are {', '.join(known) or 'none'}",
                 )
     for name in further:
-        if name not in limits.inputs and described(name).role != "switch":
+        if name not in limits.inputs and not is_switch(name):
             raise ConfigError(
                 f"the limits give no value of the input '{name}'",
                 hint=f"Add {name} = VALUE to [inputs]",
@@ -283,7 +284,7 @@ def planned(
 ) -> tuple[Step, ...]:
     """Choose moves by their `information` (n, P, P), in the order of flight with their shares.
 
-    Raises `ConfigError` where there is no time for a single move.
+    Raises `ConfigError` where there is no time for a single move, or none gives anything.
     """
     limits, height = wanted.limits, np.array([one.move.altitude_ft for one in every])
     cost = np.array([one.move.minutes for one in every])
@@ -296,6 +297,11 @@ def planned(
         found = float(value(candidates.total(picked)))
         if picked and found > score:
             best, score = some[picked].tolist(), found
+    if not best and cost.min() <= wanted.minutes:
+        raise ConfigError(
+            f"none of {len(every)} moves within the limits tells anything new",
+            hint="Widen lever or altitude_ft, or name under switches what the pilot may set",
+        )
     if not best:
         raise ConfigError(
             f"limits that admit no move: the shortest takes {cost.min():.1f} minutes, "
@@ -309,7 +315,7 @@ def planned(
     return tuple(sorted(steps, key=_place))
 
 
-def _place(one: Step) -> tuple[float, float, float]:
-    """Order of flight: by altitude, then so that the lever is set by short ways."""
+def _place(one: Step) -> tuple[float, str, float, float]:
+    """Order of flight: by altitude and switch, then so that the lever is set by short ways."""
     corners = one.move.corners
-    return one.move.altitude_ft, corners[0][1], corners[-1][1]
+    return one.move.altitude_ft, one.move.switch, corners[0][1], corners[-1][1]

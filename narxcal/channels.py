@@ -145,6 +145,11 @@ def described(name: str) -> Channel:
     return Channel(name, unit, "output", float("-inf"), float("inf"), _QUANTITIES[unit])
 
 
+def is_switch(name: str) -> bool:
+    """Whether a channel is a switch, 0 or 1."""
+    return described(name).role == "switch"
+
+
 def spools_of(names: Iterable[str]) -> tuple[str, ...]:
     """Those of `names` that are spool speeds, by which equilibrium is detected."""
     return tuple(name for name in names if name in SPOOLS)

@@ -33,7 +33,7 @@ import numpy as np
 import pandas as pd
 
 from eval.card import Wanted, calibration_card
-from eval.diagnosis.applied import EMULATOR, write_emulator
+from eval.diagnosis.applied import EMULATOR, signals_from_json, write_emulator
 from eval.diagnosis.blind.cases import BlindPlan, Case, draw_cases
 from eval.diagnosis.blind.files import write_log
 from eval.diagnosis.blind.make import sized
@@ -58,6 +58,7 @@ from training.pipeline import calibrate, read_split
 _UNDECIDED: Final = ("ambiguous", "unknown")
 ENGINES: Final = ("business_jet", "single_aisle")
 _RATE_HZ: Final = 8.0
+_SWITCHES: Final = ("Approach", "NAI", "WAI")  # that the pilot may set
 _NEXT: Final = 100  # number of the next flight, which is none of those before
 _LIMITS: Final[dict[str, Any]] = {
     "schema": "narxcal.limits/1",
@@ -140,7 +141,10 @@ def tried(plan: BlindPlan, minutes: float, case: Case) -> dict[str, Any]:
                             aircraft=aircraft)  # fmt: skip
         standard = plan_flight(wanted, seed)["left"]
         facts["standard"] = judged(true, trial.diagnosed(standard).document)
-        limits = Limits.parse({**_LIMITS, "dT_C": float(standard["dT_C"].mean())})
+        signals = signals_from_json(before.document["quality"]["signals"])
+        switches = [name for name in _SWITCHES if name in signals.active]
+        day = float(standard["dT_C"].mean())
+        limits = Limits.parse({**_LIMITS, "dT_C": day, "switches": switches})
         try:
             card = _card(trial.folder, before, Wanted(limits, minutes))
         except NarxcalError as error:

@@ -40,8 +40,9 @@ def _cells(card: Card, one: Step) -> tuple[Cell, ...]:
         parts = [f"constant for {move.duration_s:.0f} s"]
     rates = sorted({f"{rate:.3g}/s" for _, rate, _ in move.steps if rate > 0.0})
     outside = "" if one.inside else ", outside the training logs"
+    switched = f", {symbol(move.switch)} on" if move.switch else ""
     return (
-        Cell(f"{move.altitude_ft:.0f} ft, {move.mach:.2f}"),
+        Cell(f"{move.altitude_ft:.0f} ft, {move.mach:.2f}{switched}"),
         Cell(f"{move.corners[0][1]:.4g}, {move.settle_s:.0f} s"),
         Cell(f"{move.name}: {'; '.join(parts)}"),
         Cell(", ".join(rates) or "-"),

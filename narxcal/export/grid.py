@@ -11,7 +11,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from narxcal.channels import described
+from narxcal.channels import described, is_switch
 from narxcal.steady.model import (
     Envelope,
     SteadyStateModel,
@@ -104,11 +104,6 @@ class Grid:
             for name, nodes in self.axes.items()
         ]
         return np.column_stack(columns)
-
-
-def is_switch(name: str) -> bool:
-    """Whether a channel is a switch, 0 or 1."""
-    return described(name).role == "switch"
 
 
 def _ends(model: SteadyStateModel) -> tuple[list[float], list[float]]:

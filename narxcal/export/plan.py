@@ -15,12 +15,12 @@ from pathlib import Path
 
 import numpy as np
 
+from narxcal.channels import is_switch
 from narxcal.export.grid import (
     Block,
     Grid,
     GriddedModel,
     finite_outputs,
-    is_switch,
     nine_digits,
     rounded,
     sample,

@@ -51,7 +51,8 @@ class Limits(Section):
     fastest rate of what the pilot moves, in its channel's unit. settle_s: constant lever before
     each move, the setting of its first position included; hold_s: after it. altitudes: how many
     are considered. dT_C: static temperature off the standard day. highest: output -> value that it
-    may not exceed. inputs: values of further inputs; switches left out are off.
+    may not exceed. inputs: values of further inputs; switches left out are off. switches: those
+    that the pilot may set for a move, each by itself; its move begins and ends with it.
     """
 
     schema_: Literal["narxcal.limits/1"] = Field(default=SCHEMA, alias="schema")
@@ -66,6 +67,7 @@ class Limits(Section):
     dT_C: float = 0.0
     highest: dict[str, float] = Field(default_factory=dict)
     inputs: dict[str, float] = Field(default_factory=dict)
+    switches: tuple[str, ...] = ()
 
     @model_validator(mode="after")
     def _ranges(self) -> Limits:
@@ -76,6 +78,9 @@ class Limits(Section):
                                   f"{high:g}")  # fmt: skip
         if min(self.mach) < 0.0 or max(self.mach) > 1.0:
             raise ConfigError(f"mach: expected values from 0 to 1, found {list(self.mach)}")
+        if both := {*self.inputs} & {*self.switches}:
+            raise ConfigError(f"'{min(both)}' is both in switches and in [inputs]",
+                              hint="A switch is off until its moves; leave it out of [inputs]")
         if self.way_s > self.settle_s:
             low, high = self.lever
             raise ConfigError(
@@ -111,13 +116,17 @@ class Limits(Section):
 
 
 class Move(Section, extra="ignore"):
-    """A lever move at one altitude: corners (s, lever) from its first position on."""
+    """A lever move at one altitude: corners (s, lever) from its first position on.
+
+    `switch` is the one that is on from before it settles to its end, empty for none.
+    """
 
     name: str
     altitude_ft: float
     mach: float = Field(alias="Mach")
     settle_s: float = Field(ge=0.0)
     corners: tuple[Pair, ...] = Field(min_length=1)
+    switch: str = ""
 
     @field_validator("corners")
     @classmethod
@@ -176,7 +185,7 @@ class FlightCard(Section, extra="ignore"):
 
 
 def moves(limits: Limits) -> list[Move]:
-    """List the candidate moves at each test altitude."""
+    """List the candidate moves at each test altitude, without and with each switch."""
     low, high = limits.lever
     rate = min(_FULL * limits.lever_per_s / (high - low), HAND_DEG_S)
     shapes = list(_shapes(rate, limits.hold_s))
@@ -187,8 +196,10 @@ def moves(limits: Limits) -> list[Move]:
             Mach=limits.mach_at(height),
             settle_s=limits.settle_s,
             corners=tuple((t, low + (begin + a) * (high - low) / _FULL) for t, a in shape.points),
+            switch=switch,
         )
         for height in limits.heights_ft
+        for switch in ("", *limits.switches)
         for name, begin, shape in shapes
     ]
 
@@ -220,13 +231,15 @@ def _shapes(rate: float, hold_s: float) -> Iterator[tuple[str, float, Corners]]:
 
 
 def course(limits: Limits, some: Sequence[Move], dt_s: float) -> dict[str, FloatArray]:
-    """Fly moves one after another: `lever`, `ALT_ft` and `Mach` (time,) every `dt_s`.
+    """Fly moves one after another: `lever`, `ALT_ft`, `Mach` and switches (time,) every `dt_s`.
 
-    Climbs come first, then the lever goes to the first position of the next move within the first
-    half of the time to settle.
+    The switch of a move is set first. Then come climbs, then the lever goes to the first position
+    within the first half of the time to settle.
     """
     times, points, clock = [0.0], [(some[0].corners[0][1], some[0].altitude_ft)], 0.0
+    begins = []
     for one in some:
+        begins.append(clock)
         was, height = points[-1]
         begin = one.corners[0][1]
         climb = 60.0 * limits.climb_min(height, one.altitude_ft)
@@ -239,4 +252,6 @@ def course(limits: Limits, some: Sequence[Move], dt_s: float) -> dict[str, Float
     grid = np.arange(0.0, clock + 0.5 * dt_s, dt_s)
     lever, height = (np.interp(grid, times, column) for column in zip(*points, strict=True))
     mach = np.interp(height, limits.altitude_ft, limits.mach)
-    return {"lever": lever, "ALT_ft": height, "Mach": mach}
+    flown = np.array([one.switch for one in some])[np.searchsorted(begins, grid, "right") - 1]
+    switches = {name: (flown == name).astype(float) for name in limits.switches}
+    return {"lever": lever, "ALT_ft": height, "Mach": mach, **switches}

@@ -156,17 +156,21 @@ def plan_card(card: FlightCard, plan: FlightPlan, seed: int) -> dict[str, dict[s
     shared = {"time_s": time_s, "ALT_ft": path["ALT_ft"], "Mach": mach}
     shared["dT_C"] = np.full(len(time_s), limits.dT_C)
     switches = {
-        name: np.full(len(time_s), limits.inputs.get(name, 0.0) > 0.0) for name in SWITCH_NAMES
+        name: path[name] > 0.0
+        if name in path
+        else np.full(len(time_s), limits.inputs.get(name, 0.0) > 0.0)
+        for name in SWITCH_NAMES
     }
     return {side: _channels(shared | {"TRA_deg": levers[side]}, switches) for side in SIDES}
 
 
 def _check_card(card: FlightCard, aircraft: Aircraft) -> None:
     limits = card.limits
-    if card.lever != "TRA_deg" or not {*limits.inputs} <= {*SWITCH_NAMES}:
+    named = [*limits.inputs, *limits.switches]
+    if card.lever != "TRA_deg" or not {*named} <= {*SWITCH_NAMES}:
         raise ConfigError(
             f"the virtual engines have the lever TRA_deg and the switches "
-            f"{', '.join(SWITCH_NAMES)}; the card is for {', '.join([card.lever, *limits.inputs])}",
+            f"{', '.join(SWITCH_NAMES)}; the card is for {', '.join([card.lever, *named])}",
             hint="Make the card from a run or diagnosis with these inputs",
         )
     length_s = sum(60.0 * one.minutes for one in card.steps)

@@ -139,6 +139,10 @@ def refused(narxcal, project, limits, tmp_path):
             "[highest]\nEGT_C = 100\n",
             "limits that admit no move: the gentlest of 52 may reach EGT_C ",
         ),
+        (
+            'switches = ["ECS"]\n',
+            "switches names 'ECS', which is none of its channels. They are WOW, Approach",
+        ),
     ],
 )
 def test_limits_that_do_not_fit_the_run_are_refused(refused, more, words):
@@ -257,6 +261,35 @@ def test_a_card_of_an_undetermined_diagnosis_shows_whether_anything_acts_and_can
     log = json.loads(ended.out)["logs"][0]
     assert log["duration_s"] / 60.0 == pytest.approx(card["minutes"], rel=0.2)
     assert 2000.0 <= log["alt_ft"][0] <= log["alt_ft"][1] <= 8000.0
+
+
+def test_moves_with_a_switch_tell_its_bleed_from_deterioration(
+    narxcal, slow_probe, limits, tmp_path
+):
+    for seed in range(3):
+        _, sim = slow_probe(seed, 200.0, stay_s=20.0)
+        sim = sim.assign(NAI=(sim["time_s"] // 50.0 % 2.0).astype(int))
+        real = sim.assign(EGT_C=sim["EGT_C"] + 20.0 * sim["NAI"])
+        for kind, table in (("sim", sim), ("real", real)):
+            (tmp_path / kind).mkdir(exist_ok=True)
+            table.to_csv(tmp_path / kind / f"f{seed}.csv", index=False)
+    where = ["--real", tmp_path / "real", "--sim", tmp_path / "sim", "--out", tmp_path / "gap"]
+    assert narxcal("diagnose", *where).code == 0
+    file = tmp_path / "gap" / "gap.json"
+    document = json.loads(file.read_text("utf-8"))
+    document["verdict"] |= {"kind": "ambiguous", "effects": ["bleed_extraction"],
+                            "ambiguous_with": ["deterioration"]}  # fmt: skip
+    file.write_text(json.dumps(document), "utf-8")
+    found = []
+    for more in ("", 'switches = ["NAI"]\n'):
+        ended = narxcal("card", file, "--aircraft", limits(more=more), "--minutes", "4", "--out",
+                        tmp_path / "card.html", "--overwrite", "--json")  # fmt: skip
+        assert ended.code == 0, ended.err
+        found.append(json.loads(ended.out))
+    assert {step["switch"] for step in found[0]["steps"]} == {""}
+    assert {step["switch"] for step in found[1]["steps"]} >= {"NAI"}
+    assert found[0]["expected"][0]["after"] < found[1]["expected"][0]["after"]
+    assert ", NAI on" in (tmp_path / "card.html").read_text("utf-8")
 
 
 def test_a_decided_diagnosis_needs_no_card(narxcal, diagnosed, limits, tmp_path):

@@ -52,6 +52,20 @@ def test_a_course_flies_the_moves_one_after_another():
     assert flown["Mach"][[0, -1]] == pytest.approx([0.3, 0.45])
 
 
+def test_a_switch_is_on_from_before_its_move_settles_to_its_end():
+    limits = Limits.parse(TABLE | {"switches": ["NAI", "WAI"]})
+    every = moves(limits)
+    alike = [[one for one in every if one.switch == name] for name in ("", "NAI", "WAI")]
+    assert len({len(each) for each in alike}) == 1
+    slam, slam_on = (next(one for one in each if one.name == "slam") for each in alike[:2])
+    flown = course(limits, [slam, slam_on, slam], 0.1)
+    on = np.flatnonzero(flown["NAI"])
+    minutes = np.array([on[0], on[-1] + 1]) * 0.1 / 60.0
+    assert minutes == pytest.approx([slam.minutes, 2.0 * slam.minutes], abs=0.005)
+    assert set(flown["NAI"][on[0] : on[-1]]) == {1.0}
+    assert not flown["WAI"].any()
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -66,6 +80,10 @@ def test_a_course_flies_the_moves_one_after_another():
             "limits that admit no move: at 1 per s the lever takes 75 s from 5 to 80",
         ),
         ({"hold_s": 2.0}, "key 'hold_s': Input should be greater than or equal to 5, found 2.0"),
+        (
+            {"switches": ["NAI"], "inputs": {"NAI": 1.0}},
+            "'NAI' is both in switches and in [inputs]. A switch is off until its moves; leave it",
+        ),
         ({"levers": 2.0}, "unknown key 'levers'. Did you mean 'lever'?"),
     ],
 )
