@@ -147,12 +147,13 @@ def tried(plan: BlindPlan, minutes: float, case: Case) -> dict[str, Any]:
         limits = Limits.parse({**_LIMITS, "dT_C": day, "switches": switches})
         try:
             card = _card(trial.folder, before, Wanted(limits, minutes))
-        except NarxcalError as error:
+            flown = plan_card(FlightCard.parse(card), wanted, seed)["left"]
+            found = judged(true, trial.diagnosed(flown).document)
+        except NarxcalError as error:  # no card, or one that this engine does not survive
             return {**facts, "card": {"resolved": False, "right": False, "verdict": [str(error)]}}
-        flown = plan_card(FlightCard.parse(card), wanted, seed)["left"]
         chances = [row["after"] for row in card["expected"]]
-        return {**facts, "chances": chances, "steps": [one["name"] for one in card["steps"]],
-                "card": judged(true, trial.diagnosed(flown).document)}  # fmt: skip
+        steps = [" ".join(filter(None, (one["name"], one["switch"]))) for one in card["steps"]]
+        return {**facts, "chances": chances, "steps": steps, "card": found}
 
 
 def _card(folder: Path, found: Answer, wanted: Wanted) -> dict[str, Any]:

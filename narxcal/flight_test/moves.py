@@ -79,8 +79,10 @@ class Limits(Section):
         if min(self.mach) < 0.0 or max(self.mach) > 1.0:
             raise ConfigError(f"mach: expected values from 0 to 1, found {list(self.mach)}")
         if both := {*self.inputs} & {*self.switches}:
-            raise ConfigError(f"'{min(both)}' is both in switches and in [inputs]",
-                              hint="A switch is off until its moves; leave it out of [inputs]")
+            raise ConfigError(
+                f"'{min(both)}' is both in switches and in [inputs]",
+                hint="A switch is off until its moves; leave it out of [inputs]",
+            )
         if self.way_s > self.settle_s:
             low, high = self.lever
             raise ConfigError(
