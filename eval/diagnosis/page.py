@@ -21,6 +21,7 @@ from eval.diagnosis.words import (
     listed,
     next_flights,
     outcome,
+    parameter_words,
     percent,
     size_words,
 )
@@ -87,7 +88,7 @@ def sizes_table(document: Row) -> Table:
             (
                 Cell(name_of(row), "head"),
                 Cell(percent(row["probability"]), number=True),
-                Cell(f"{first} {size_words(size)}"),
+                Cell(f"{parameter_words(first)} {size_words(size)}"),
                 Cell("" if least is None else f"{number(least)}{unit}", number=True),
             )
         )

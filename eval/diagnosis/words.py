@@ -8,8 +8,9 @@ from typing import Any, Final
 
 from eval.outcome import Outcome
 from eval.report.style import number
-from narxcal.channels import symbol
+from narxcal.channels import CHANNELS, symbol
 from narxcal.effects.library import effect, name_of
+from narxcal.effects.steady import SWITCHES, TakingEffect
 
 NAMED: Final = {
     "build": "differences of build",
@@ -23,6 +24,17 @@ VERDICTS: Final = {
     "ambiguous": "≈ AMBIGUOUS",
     "unknown": "? UNDETERMINED",
 }
+# What the shapes are that amplitudes belong to, by the first part of a parameter's name.
+_SHAPES: Final = {
+    "base": "at idle",
+    "power": "from idle to full power",
+    "per_10K": "per 10 K",
+    "on": "while it is on",
+    "idle": "with the lever at its stop",
+    "share": "for each degree that metal trails",
+    **{name: f"with {symbol(name)}" for name in SWITCHES},
+}
+_LOSS: Final = "acceleration lost over the range of EGT"
 _MOST_NAMED = 3
 Size = Mapping[str, Any]  # value, low, high and unit of one parameter
 Row = Mapping[str, Any]
@@ -54,6 +66,15 @@ def size_words(size: Size) -> str:
     return f"{_text(size, size['value'])} {unit}".rstrip() + f" ({ends[0]} to {ends[1]})"
 
 
+def parameter_words(name: str) -> str:
+    """A parameter, an amplitude in words: `EGT with NAI` for `NAI_EGT_C`; others as they are."""
+    for shape, words in _SHAPES.items():
+        channel = name.removeprefix(f"{shape}_")
+        if channel != name and channel in CHANNELS:
+            return f"{symbol(channel)} {words}"
+    return _LOSS if name == TakingEffect.taken.name else name
+
+
 def is_nil(size: Size) -> bool:
     """Whether a size may as well be nothing: its interval holds 0."""
     low, high = size["low"], size["high"]
@@ -62,7 +83,9 @@ def is_nil(size: Size) -> bool:
 
 def sizes_words(row: Mapping[str, Any]) -> str:
     """Every parameter of an effect with its interval: `tau_s 1.80 s (1.62 to 1.98); ...`."""
-    return "; ".join(f"{name} {size_words(size)}" for name, size in row["parameters"].items())
+    return "; ".join(
+        f"{parameter_words(name)} {size_words(size)}" for name, size in row["parameters"].items()
+    )
 
 
 def surest_words(row: Mapping[str, Any]) -> str:
@@ -79,9 +102,17 @@ def surest_words(row: Mapping[str, Any]) -> str:
     nil = [name for name, size in found.items() if is_nil(size)]
     if len(nil) == len(found):
         return sizes_words({"parameters": found})
-    texts = [f"{name} {size_words(size)}" for name, size in found.items() if name not in nil]
+    texts = [
+        f"{parameter_words(name)} {size_words(size)}"
+        for name, size in found.items()
+        if name not in nil
+    ]
     if nil:
-        names = listed(nil) if len(nil) <= _MOST_NAMED else f"{len(nil)} others"
+        names = (
+            listed([*map(parameter_words, nil)])
+            if len(nil) <= _MOST_NAMED
+            else f"{len(nil)} others"
+        )
         texts.append(f"{names} not distinct from 0")
     return "; ".join(texts)
 

@@ -9,6 +9,7 @@ import pytest
 from eval.diagnosis.words import (
     in_words,
     listed,
+    parameter_words,
     sentences,
     size_words,
     sizes_words,
@@ -81,3 +82,18 @@ def test_what_is_left_is_at_most_all_of_the_gap(share, said):
     left = {"cause": "unexplained", "share": share}
     found = sentences({"verdict": verdict, "effects": [], "budget": [left]})
     assert found[-1] == f"{said} of the gap is left: nothing in the library explains it."
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("NAI_EGT_C", "EGT with NAI"),
+        ("base_N2_pct", "N2 at idle"),
+        ("per_10K_FF_kgph", "FF per 10 K"),
+        ("loss", "acceleration lost over the range of EGT"),
+        ("tau_s", "tau_s"),
+        ("own_s", "own_s"),
+    ],
+)
+def test_an_amplitude_is_named_in_words(name, words):
+    assert parameter_words(name) == words
