@@ -82,7 +82,7 @@ def _followed(run: Run, target: FloatArray) -> FloatArray:
 
 
 class TakingEffect(OffsetEffect, LoadEffect):
-    """An offset of what takes power: the gas is hotter by it, and the core has less to spare.
+    """An offset of what takes power, or gives less: hotter gas, and a core with less to spare.
 
     Under a control that schedules fuel, `loss` of acceleration where the temperature is off by its
     whole range: what an engine may accelerate with is what its fuel is more than it needs. Where
@@ -145,8 +145,11 @@ class UnloggedSwitch(TakingEffect):
         return {"on": _followed(run, run.u[..., run.signals.u(UNLOGGED)])}
 
 
-class Deterioration(OffsetEffect):
-    """Worn components shift temperature and N2 at given power, the same in all flights."""
+class Deterioration(TakingEffect):
+    """Worn components shift temperature and N2 at given power, the same in all flights.
+
+    They need more fuel for the same speed, so that a schedule of fuel leaves less to accelerate by.
+    """
 
     id: ClassVar[str] = "deterioration"
     family: ClassVar[str] = "offset"

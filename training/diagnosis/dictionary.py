@@ -19,6 +19,7 @@ from narxcal.support.arrays import BoolArray, FloatArray
 
 _REACH: Final = 0.6  # of the way to neutral
 _STEP: Final = 0.03  # of a difference, as a share of the size
+_NIL: Final = 1e-3  # share of its range below which an amplitude is none
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +81,7 @@ class Dictionary:
     def add(self, node: Node, theta: FloatArray) -> Node | None:
         """A further node of the same effect at `theta`; None where there is one already."""
         known = self.nodes[node.name]
-        size = np.array([_size(p, v) for p, v in zip(node.parameters, theta, strict=True)])
+        size = np.array([_scale(p, v) for p, v in zip(node.parameters, theta, strict=True)])
         for one in known:
             if bool((np.abs(one.theta - theta) <= 0.02 * size).all()):
                 return None
@@ -127,6 +128,16 @@ def _size(parameter: Parameter, value: float) -> float:
     if parameter.neutral != 0.0:  # of a limit far above it, or a factor, a share of itself
         away, small = min(away, abs(value)), min(small, abs(value))
     return max(away, 0.3 * small)
+
+
+def _scale(parameter: Parameter, value: float) -> float:
+    """What a difference between nodes is small against.
+
+    An amplitude is small against itself: slopes of what bends its shape are in proportion to it.
+    """
+    if parameter.linear:
+        return max(abs(value), _NIL * (parameter.high - parameter.low))
+    return _size(parameter, value)
 
 
 def _differences(

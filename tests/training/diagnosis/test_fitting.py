@@ -61,6 +61,24 @@ def test_a_planted_fault_is_first_with_its_size_inside_the_interval(name, flight
     )
 
 
+def test_the_shape_of_a_small_effect_is_found_too(flights):
+    fuel = replace(flights, signals=replace(flights.signals, driver="FF_kgph"))
+    soak = effect("heat_soak")
+    names = [p.name for p in soak.parameters(fuel.signals)]
+    theta = np.array([{"tau_s": 55.0, "share_EGT_C": -0.03}.get(name, 0.0) for name in names])
+    frame = frame_of(recorded(fuel, respond([(soak, theta[None])], fuel, None)[0]))
+    nodes = Dictionary([soak], fuel, None)
+    found = frame.refined(frame.fit(nodes.nodes[soak.name]), nodes)
+    assert dict(zip(names, found.theta, strict=True)) == {
+        "tau_s": pytest.approx(55.0, rel=0.15),
+        "rise_s": pytest.approx(0.0, abs=1.0),
+        **{
+            name: pytest.approx(value, abs=0.005)
+            for name, value in zip(names[2:], theta[2:], strict=True)
+        },
+    }
+
+
 def test_intervals_of_few_flights_that_differ_hold_the_true_size(flights, dictionary):
     random, inside, degrees = np.random.default_rng(7), [], []
     n2 = flights.signals.y("N2_pct")
