@@ -357,7 +357,7 @@ def _refined(values: FloatArray, noise: float, start: int, first: int) -> int:
     `values` (time,) begin with sample `first` of the log, rest up to sample `start` and end with
     the rise.
     """
-    level = median(values[: start - first + 1].tolist())
+    level = float(median(values[: start - first + 1].tolist()))
     rise = float(values[-1]) - level
     foot = np.flatnonzero(values[start - first :] <= level + 4.0 * noise)
     begin = start + (int(foot[-1]) if len(foot) else 0)
