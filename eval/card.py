@@ -299,7 +299,7 @@ def planned(
             best, score = some[picked].tolist(), found
     if not best and cost.min() <= wanted.minutes:
         raise ConfigError(
-            f"none of {len(every)} moves within the limits tells anything new",
+            f"none of {len(every)} moves within the limits adds any information",
             hint="Widen lever or altitude_ft, or name under switches what the pilot may set",
         )
     if not best:
