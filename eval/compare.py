@@ -21,12 +21,12 @@ from eval.report.style import number
 from eval.run_logs import run_config
 from eval.scores import max_relative_percent, nrmse, rmse
 from eval.significance import LEVEL, Difference, differences
-from eval.transients import Assessment, Overlay, Tally, TransientsConfig, assess_events, tally
 from narxcal.calibration.bundle import Bundle
 from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import DataError
 from narxcal.support.files import finite, versions
 from training.baselines import Baselines
+from training.transients import Assessment, Overlay, Tally, TransientsConfig, assess_events, tally
 
 SCHEMA = "narxcal.compare/1"
 _NAMES = {STEADY_STATE: "steady state", FIRST_ORDER: "first-order lag", ARX: "ARX"}

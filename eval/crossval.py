@@ -17,7 +17,6 @@ from eval.log_evaluation import LogEvaluation, assess_log
 from eval.outcome import Outcome
 from eval.run_logs import EvaluateConfig, run_config
 from eval.scores import score
-from eval.transients import tally
 from narxcal.calibration.bundle import Bundle
 from narxcal.support.errors import DataError
 from narxcal.support.files import finite, versions
@@ -33,6 +32,7 @@ from training.folds import (
 )
 from training.masking import by_each_other
 from training.pipeline import run_plans
+from training.transients import tally
 
 SCHEMA = "narxcal.crossval/1"
 REMARKS = {

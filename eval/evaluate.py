@@ -21,7 +21,6 @@ from eval.log_evaluation import NEW, LogEvaluation, assess_log, tally_row
 from eval.outcome import Outcome, plural
 from eval.run_logs import EvaluateConfig, run_config
 from eval.scores import ChannelScores, score
-from eval.transients import Assessment, Tally, not_assessable, tally
 from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.certificate import Certificate, certificate_of
 from narxcal.channels import symbol
@@ -30,6 +29,7 @@ from narxcal.support.errors import ConfigError
 from narxcal.support.files import finite
 from narxcal.support.progress import Progress, silent
 from training.levels import LEAST_LOGS, LevelCheck, words
+from training.transients import Assessment, Tally, not_assessable, tally
 
 SCHEMA = "narxcal.evaluate/1"
 _MANY_OUTSIDE = 0.1  # share of a log's samples outside the envelope from which on it is reported

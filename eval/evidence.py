@@ -43,8 +43,8 @@ if TYPE_CHECKING:
 
     from data_prep.identity import Shared
     from eval.free_run import FreeRun
-    from eval.transients import Assessment
     from narxcal.calibration.run_record import RunRecord
+    from training.transients import Assessment
 
 BLANK: Final = "blank"  # why `data_prep.grid` filled a sample: no row held it
 _SCATTER, _PRIOR_LOGS, _FALSE_ALARMS = 0.35, 3.0, 0.05

@@ -31,11 +31,11 @@ from eval.evaluate import Evaluation
 from eval.log_evaluation import LogEvaluation
 from eval.run_logs import EvaluateConfig
 from eval.scores import ChannelScores
-from eval.transients import Assessment, tally
 from eval.trim import TrimConfig
 from narxcal.support.arrays import FloatArray, IntArray
 from narxcal.support.files import finite
 from training.levels import lag_of, level_of
+from training.transients import Assessment, tally
 
 GOOD, FAILED, DUPLICATE = "good", "failed", "duplicate"
 Row = dict[str, Any]

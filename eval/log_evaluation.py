@@ -17,7 +17,10 @@ from eval.evidence import ErrorCheck, error_checks, judged_shares
 from eval.free_run import BASELINES, MODEL, FreeRun, run_log, trimmed
 from eval.run_logs import EvaluateConfig, run_config
 from eval.scores import ChannelScores, score
-from eval.transients import (
+from eval.trim import rows_for_trim
+from narxcal.calibration.bundle import Bundle
+from training.levels import LevelCheck, checks
+from training.transients import (
     AssessedEvent,
     Assessment,
     Overlay,
@@ -27,9 +30,6 @@ from eval.transients import (
     not_assessable,
     tally,
 )
-from eval.trim import rows_for_trim
-from narxcal.calibration.bundle import Bundle
-from training.levels import LevelCheck, checks
 
 NEW = "new"
 

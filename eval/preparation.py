@@ -19,10 +19,10 @@ from data_prep.smooth import compare_windows, frequency_response, moving_average
 from eval.report.figures import WindowTrial
 from eval.report.page import PreparedLog
 from eval.report.view import LogView
-from eval.transients import AssessedEvent
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
 from training.config import RunConfig
+from training.transients import AssessedEvent
 
 # The paper compares these, section 2.4.
 WINDOWS = (3, 11, 21)

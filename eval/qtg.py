@@ -28,15 +28,15 @@ from data_prep.log import Log
 from eval.free_run import MODEL
 from eval.log_evaluation import LogEvaluation, assess_log, overlay_of
 from eval.report.view import LogView
-from eval.rules import Manoeuvre, Rules
 from eval.run_logs import run_config
-from eval.transients import AssessedEvent, Assessment, TransientsConfig, assessed
 from narxcal.calibration.bundle import Bundle, seal
 from narxcal.channels import described
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, DataError, did_you_mean
 from narxcal.support.files import finite, versions
 from narxcal.support.settings import Section, read_toml
+from training.rules import Manoeuvre, Rules
+from training.transients import AssessedEvent, Assessment, TransientsConfig, assessed
 
 SCHEMA: Final = "narxcal.qtg/1"
 TESTS_SCHEMA: Final = "narxcal.qtg_tests/1"

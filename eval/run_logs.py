@@ -11,7 +11,6 @@ from data_prep.grid import joined
 from data_prep.log import Finding, Log
 from data_prep.prepare import prepare, with_outputs
 from data_prep.reading import read_logs
-from eval.transients import TransientsConfig
 from eval.trim import TrimConfig
 from narxcal.calibration.bundle import Bundle
 from narxcal.support.errors import DataError, ModelError
@@ -21,6 +20,7 @@ from training.folds import CrossvalConfig
 from training.records import split_logs
 from training.redundancy import Bank
 from training.screening import screened
+from training.transients import TransientsConfig
 
 
 class EvaluateConfig(Section):

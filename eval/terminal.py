@@ -13,9 +13,9 @@ from rich.text import Text
 from eval.outcome import Outcome
 from eval.report.style import number, unit, with_unit
 from eval.report.tables import measures
-from eval.transients import Assessment
 from narxcal.channels import symbol
 from narxcal.intervals import LEVEL
+from training.transients import Assessment
 
 if TYPE_CHECKING:
     from eval.compare import Comparison

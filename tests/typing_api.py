@@ -21,7 +21,6 @@ from data_prep.prepare import Prepared, prepare
 from data_prep.smooth import SmoothConfig, smooth
 from eval import transients
 from eval.results import Judgement, PreparedLogs, Recordings, Training
-from eval.transients import Assessment, Overlay, TransientsConfig
 from narxcal import (
     Bundle,
     Calibration,
@@ -43,6 +42,7 @@ from narxcal.flight_test.fly import VirtualLog, fly, load_scenario, write_flight
 from narxcal.flight_test.scenario import FlightScenario
 from narxcal.turbofan import VirtualEngine, maker_model
 from training.config import RunConfig, load_config
+from training.transients import Assessment, Overlay, TransientsConfig
 
 Floats = NDArray[np.float64]
 

@@ -114,13 +114,11 @@ class NarxSection(Section):
     steady-state model an exact equilibrium; without it the network is the paper's. `settle_s` is
     the longest time constant with which an anchored network's deviation may fade; 0 means any.
     `lag` puts state-dependent lags in front of an anchored network, which then learns their
-    residual; they are fitted to errors in the outputs' units, or with `lag_errors = "relative"` as
-    shares of each response. `lag_limits` adds the control's limits of acceleration and
-    deceleration, and the fuel that these take; `lag_heat` adds heat exchange with the metal, which
-    drives the spools, so that a slow tail is not taken for static error. With `lag_governed` a
-    control governs N1 and N2 follows; the other settings of lags then have no meaning. Where these
-    are "auto", the form is chosen by the training logs. With `linear_feedback` past deviations
-    bypass the hidden layer: a free run has no wrong equilibrium.
+    residual; they are fitted to errors as shares of each response, and the heat of the metal is
+    among them. `lag_limits` adds the control's limits of acceleration and deceleration, and the
+    fuel that these take. With `lag_governed` a control governs N1 and N2 follows; `lag_limits`
+    then has no meaning. Where these are "auto", the form is chosen by the training logs. With
+    `linear_feedback` past deviations bypass the hidden layer: a free run has no wrong equilibrium.
     """
 
     outputs: Names = ("N1_pct", "N2_pct", "EGT_C")
@@ -133,9 +131,7 @@ class NarxSection(Section):
     settle_s: float = Field(default=40.0, ge=0)
     joint: bool = True
     lag: bool = True
-    lag_errors: Literal["absolute", "relative"] = "absolute"
     lag_limits: Auto | bool = "auto"
-    lag_heat: bool = False
     lag_governed: Auto | bool = "auto"
     linear_feedback: bool = True
 
@@ -145,6 +141,12 @@ class NarxSection(Section):
         """Without lags the network learns the whole response: its defaults differ."""
         if not isinstance(table, dict):
             return table
+        gone = [name for name in ("lag_errors", "lag_heat") if name in table]
+        if gone:
+            raise ValueError(
+                f"{gone[0]} is no key any more: all lags have heat, which is nil where logs show "
+                "none, and are fitted to errors relative to each response; remove it"
+            )
         lag = table.get("lag", table.get("anchored", True))
         own = {} if lag else {"lags": 2, "linear_feedback": False}
         return {"lag": lag, **own, **table}

@@ -202,6 +202,23 @@ def surely_below(ratios: FloatArray, margin: float = 0.0) -> BoolArray:
     return np.asarray(mean < -np.maximum(error, margin))
 
 
+def clearly_less(differences: Sequence[FloatArray]) -> bool:
+    """Whether the mean of paired `differences`, one array a piece, is clearly below zero.
+
+    The standard error of the mean over all takes pieces as units, for transients of one flight have
+    errors in common (cluster-robust variance; Liang and Zeger 1986); as in `surely_below`.
+    """
+    known = [each[np.isfinite(each)] for each in differences]
+    known = [each for each in known if len(each)]
+    pieces, total = len(known), sum(len(each) for each in known)
+    if pieces < 2:
+        return False
+    mean = sum(float(each.sum()) for each in known) / total
+    sums = np.array([float(np.sum(each - mean)) for each in known])
+    error = np.sqrt(pieces / (pieces - 1) * np.sum(sums**2)) / total
+    return mean < -float(stdtrit(pieces - 1, ndtr(1.0)) * error)
+
+
 # ---- cross-validation
 
 

@@ -26,17 +26,10 @@ from narxcal.support.arrays import BoolArray, FloatArray, IntArray
 
 
 class Form(NamedTuple):
-    """Form of a lumped engine, and how it is fitted.
-
-    `governed`: a control governs N1; the rest is for the other form. `limited`: its control limits
-    acceleration and deceleration; `heat`: the metal's heat drives the spools; `relative`: errors
-    count as shares of the response that they belong to.
-    """
+    """Form of a lumped engine: a control governs N1, or limits acceleration and deceleration."""
 
     governed: bool = False
     limited: bool = False
-    heat: bool = False
-    relative: bool = False
 
 
 class Priors(NamedTuple):
@@ -107,8 +100,9 @@ casing_share       .      .      .      0.02
 log_casing_tau     .      .      .      4.3
 hot                0/5    0/5    0/5    0/5
 """
-# Of speeds where heat drives them. Heat transfer goes as flow^0.8: corrected flow triples from idle
-# to full power, over w from -1 to 1, which is exp(2 * 0.4); flow also depends on the air.
+# Of speeds, which heat drives; the share of it is fitted, from none on. Heat transfer goes as
+# flow^0.8: corrected flow triples from idle to full power, over w from -1 to 1, which is
+# exp(2 * 0.4); flow also depends on the air.
 # The effect of heat falls with power, since speeds respond to shares of the fuel.
 _HEAT: Final = {"heat": 1.0, "heat_speed": -0.5, "heat_rate": 0.4, "heat_air": 0.8}
 
@@ -184,7 +178,7 @@ def _limited(engine: LumpedEngine, form: Form) -> list[tuple[int, list[str]]]:
         cells = {name: row[role] for name, row in table.items()}
         if column == engine.core:  # of an engine without a speed, too
             cells |= dict.fromkeys(_BY_CORE, ".")
-        if form.heat and speed:
+        if speed:
             cells |= {name: f"={value}" for name, value in _HEAT.items()}
         rows.append((column, [cells.get(name, ".") for name in LIMITED]))
     return rows

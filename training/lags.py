@@ -10,7 +10,7 @@ dm, its weight g and the standard deviation S of dm, the residuals are
 
 | form | scored | weight g | fitted together |
 |---|---|---|---|
-| limited | stretches in which the core moves | 1, or of relative errors 0.3 / swing | each column |
+| limited | stretches in which the core moves | 0.3 / swing | each column |
 | governed | whole logs, for heat shows long after a move | 1 / level, down to 0.4 | core and fan |
 
 Core and fan of a governed engine close a loop. Otherwise the core comes first, since the others
@@ -18,15 +18,16 @@ follow it; its limits depend on the fan, which is taken as measured meanwhile.
 
 **Choice.** How an engine settles depends on its control, which no log names. Where [narx] says
 "auto", the usual form stands: governed where a lever drives a fan and a core, plain elsewhere. Each
-other form is fitted to some of the recordings and judged by its free run over the rest, where the
-core moves; a single recording is cut into stretches. With e the geometric mean over the outputs of
-the RMS errors, another form is taken if
+other form is fitted to some of the recordings and judged by its free run over the rest; a single
+recording is cut into stretches. Another form is taken if it has clearly less loss of response times
+(`training.transients`, `training.folds.clearly_less`). Where neither has, it is taken if
 
     mean r < -s,   r = ln(e_form / e_usual) by fold,   s = standard error of mean r,
                    widened by Student's t
 
-Of two recordings each fold would learn one flight from another, and two folds have hardly a
-standard error: the usual form stands.
+with e the geometric mean over the outputs of the RMS errors while the core moves. Of two recordings
+each fold would learn one flight from another, and two folds have hardly a standard error: the usual
+form stands.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import count, pairwise
+from itertools import count
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -49,19 +50,20 @@ from narxcal.channels import described
 from narxcal.lumped.engine import LumpedEngine, Slopes, Starts, core_of
 from narxcal.lumped.rotors import Drive
 from narxcal.steady.model import SteadyStateModel
-from narxcal.support.arrays import BoolArray, FloatArray, IntArray
+from narxcal.support.arrays import BoolArray, FloatArray, IntArray, spans
 from narxcal.support.errors import DataError
 from narxcal.support.progress import Progress, silent
 from training.config import NarxSection, RunConfig
-from training.folds import Fold, geometric_rms, held_out_folds, surely_below
+from training.folds import clearly_less, geometric_rms, surely_below
 from training.lag_priors import Form, Priors, start_engine
 from training.records import LagSamples, lag_samples
+from training.transients import response_losses
 
 _GRID_S: Final = 0.1  # the limited form is exact between samples: no finer grid is needed
 _EVERY_S: Final = 0.2  # one sample in this time is scored
 _MARGIN: Final = 1.5  # the limit, as a multiple of the largest deviation of the logs
 _MOVING: Final = 0.03  # of the core's range within some seconds: the core moves
-_STRETCHES_S: Final = {False: (10.0, 3.0), True: (5.0, 1.0)}  # relative: these seconds, and around
+_MOVES_S, _AROUND_S = 5.0, 1.0  # what moves within these seconds is scored, and around
 _SWING_S: Final = 15.0  # a response with its settling
 _LEAST_SWING, _USUAL_SWING = 0.05, 0.3  # shares of the output's range; the latter has weight 1
 _LEVEL: Final = (0.4, 1.0)  # shares of the largest value; below, weights grow no more
@@ -101,14 +103,13 @@ def fit_lags(
 ) -> LumpedEngine | None:
     """Fit the lumped engine in front of the network to training logs; None if [narx] wants none.
 
-    No form in [narx] may be "auto" any more (see `choose_form`). With heat, what the spools still
+    No form in [narx] may be "auto" any more (see `choose_form`). What spools driven by heat still
     have before them is no static error, so that both are found in turn.
     """
     if not config.narx.lag:
         return None
     engine: LumpedEngine | None = None
-    heat = config.narx.lag_heat and not config.narx.lag_governed
-    for _ in range(_ROUNDS if heat else 1):
+    for _ in range(1 if config.narx.lag_governed else _ROUNDS):
         samples = [lag_samples(log, steady, config, engine) for log in logs]
         engine = fitted_form(config, samples, steady, logs[0].dt_s)
     return engine
@@ -127,8 +128,6 @@ def form_of(section: NarxSection) -> Form:
     return Form(
         governed=section.lag_governed is True,
         limited=section.lag_limits is True,
-        heat=section.lag_heat,
-        relative=section.lag_errors == "relative",
     )
 
 
@@ -149,7 +148,7 @@ def fit_engine(
     engine, table = start_engine(output_names, form, scales_of(samples, input_names))
     weights = _weights(samples, engine, form, dt_s)
     full = 2.0 * engine.half[engine.core]
-    rows = [moving(one.ss[:, engine.core], full, dt_s, relative=form.relative) for one in samples]
+    rows = [moving(one.ss[:, engine.core], full, dt_s) for one in samples]
     if not any(moves.any() for moves in rows):
         raise DataError(
             "the outputs never move, so no lag can be fitted",
@@ -189,11 +188,10 @@ def scales_of(samples: Sequence[LagSamples], input_names: Sequence[str]) -> dict
     }
 
 
-def moving(ss: FloatArray, full: float, dt_s: float, *, relative: bool = False) -> BoolArray:
+def moving(ss: FloatArray, full: float, dt_s: float) -> BoolArray:
     """Rows (time,) in and around the moves of a steady-state value `ss` whose range is `full`."""
-    span_s, around_s = _STRETCHES_S[relative]
-    around = max(round(around_s / dt_s), 1)
-    moves = peak_to_peak(ss, max(round(span_s / dt_s), 2)) > _MOVING * full
+    around = max(round(_AROUND_S / dt_s), 1)
+    moves = peak_to_peak(ss, max(round(_MOVES_S / dt_s), 2)) > _MOVING * full
     rows: BoolArray = binary_dilation(moves, iterations=around)
     return rows
 
@@ -212,11 +210,9 @@ def _weights(
         largest = np.max([np.abs(values).max(axis=0) for values in known], axis=0)
         levels = [np.abs(values) / np.maximum(largest, 1e-9) for values in known]
         return [1.0 / np.clip(level, *_LEVEL) for level in levels]
-    if form.relative:
-        size = max(round(_SWING_S / dt_s), 2)
-        shares = [peak_to_peak(values, size) / (2.0 * engine.half) for values in known]
-        return [_USUAL_SWING / np.maximum(share, _LEAST_SWING) for share in shares]
-    return [np.ones_like(values) for values in known]
+    size = max(round(_SWING_S / dt_s), 2)
+    shares = [peak_to_peak(values, size) / (2.0 * engine.half) for values in known]
+    return [_USUAL_SWING / np.maximum(share, _LEAST_SWING) for share in shares]
 
 
 class _Part(NamedTuple):
@@ -368,7 +364,7 @@ class _Fit:
 
 @dataclass(frozen=True)
 class LagChoice:
-    """The `form` that was chosen, and the error that each form leaves, over the outputs' range.
+    """The `form` that was chosen, and the mean loss of the response times by each form.
 
     `left` is empty where nothing was compared, `form` where [narx] wants no lags.
     """
@@ -395,30 +391,33 @@ def choose_form(
     forms = _offered(config, steady)
     if len(forms) < 2 or len({log.source.file for log in logs}) == 2:
         return with_form(config, forms[0]), LagChoice(forms[0] if config.narx.lag else "")
-    logs = _enough(logs)
-    samples = [lag_samples(log, steady, config) for log in logs]
-    samples, dt_s = thinned(samples, logs[0].dt_s, _CHOICE_GRID_S)
-    samples, recordings = _stretches(samples, [log.source.file for log in logs], dt_s)
-    trial = Trial(steady, samples, held_out_folds(recordings, _FOLDS), dt_s)
+    trial = Trial(steady, _enough(logs), config)
     total, done = len(forms) * len(trial.folds), count()
 
     def begins() -> None:
         progress(next(done), total, "choosing the lags")
 
-    left = {form: trial.left(with_form(config, form), begins) for form in forms}
-    best = _best(left)
+    judged = {form: trial.judged(with_form(config, form), begins) for form in forms}
+    best = _best(judged)
+    losses = {form: np.concatenate([each.losses for each in one]) for form, one in judged.items()}
     known = {
-        form: float(np.exp(logs.mean())) for form, logs in left.items() if np.isfinite(logs).all()
+        name: float(np.nanmean(each)) for name, each in losses.items() if np.isfinite(each).any()
     }
     return with_form(config, best), LagChoice(best, known)
 
 
-def _best(left: Mapping[str, FloatArray]) -> str:
-    """The first form, or the one that beats it by most, by more than a standard error (folds,)."""
-    usual, *others = left
-    ratios = {form: left[form] - left[usual] for form in others}
-    able = {form: ratio.mean() for form, ratio in ratios.items() if surely_below(ratio)}
-    return min(able, key=able.__getitem__, default=usual)
+def _best(judged: Mapping[str, Sequence[_Judged]]) -> str:
+    """The first form, or one that clearly has a lower loss of response times; ties by RMSE."""
+    usual, *others = judged
+    for form in others:
+        pairs = list(zip(judged[form], judged[usual], strict=True))
+        differences = [each.losses - other.losses for each, other in pairs]
+        if clearly_less(differences):
+            usual = form
+        elif not clearly_less([-each for each in differences]):
+            ratios = np.array([each.error - other.error for each, other in pairs])
+            usual = form if surely_below(ratios) else usual
+    return usual
 
 
 def _offered(config: RunConfig, steady: SteadyStateModel) -> list[str]:
@@ -430,10 +429,9 @@ def _offered(config: RunConfig, steady: SteadyStateModel) -> list[str]:
         return [GOVERNED]
     if section.lag_limits != "auto":
         return [LIMITS if section.lag_limits else PLAIN]
-    # Governed: a lever drives a fan and a core, and [narx] sets nothing of the limited form alone.
+    # Governed: a lever drives a fan and a core.
     spools = {"N1_pct", "N2_pct"} <= set(steady.output_names)
-    unset = section.lag_errors == "absolute" and not section.lag_heat
-    governed = spools and unset and described(config.driver).role == "lever"
+    governed = spools and described(config.driver).role == "lever"
     return [*([GOVERNED] if governed and section.lag_governed == "auto" else []), PLAIN, LIMITS]
 
 
@@ -451,64 +449,88 @@ def _enough(logs: Sequence[Log]) -> list[Log]:
     return [log for log in logs if log.source.file in taken]
 
 
-def _stretches(
-    samples: Sequence[LagSamples], recordings: Sequence[str], dt_s: float
-) -> tuple[list[LagSamples], list[str]]:
-    """Samples with the names of their recordings; a single one is cut into stretches."""
-    if len(set(recordings)) > 1:
-        return list(samples), list(recordings)
-    parts, names = [], []
-    for one in samples:
-        many = int(np.clip(len(one.ss) * dt_s / _STRETCH_S, _FOLDS, _STRETCHES))
-        edges = np.linspace(0, len(one.ss), many + 1).astype(int).tolist()
-        for number, (start, stop) in enumerate(pairwise(edges)):
-            parts.append(one.rows(slice(start, stop)))
-            names.append(str(number % _FOLDS))
-    return parts, names
+class _Judged(NamedTuple):
+    """Losses (transients, outputs) of a form in one fold, and ln of its error while the core moves.
+
+    The error is the geometric mean over the outputs, each over its range.
+    """
+
+    losses: FloatArray
+    error: float
 
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """What forms are judged on: samples on the grid `dt_s`, in folds."""
+    """What forms are judged on: whole recordings in turn, or stretches of a single one."""
 
     steady: SteadyStateModel
-    samples: Sequence[LagSamples]
-    folds: Sequence[Fold]
-    dt_s: float
+    logs: Sequence[Log]
+    config: RunConfig
 
-    def left(self, config: RunConfig, begins: Callable[[], None] = lambda: None) -> FloatArray:
-        """Logarithm of a form's free-run error in each fold, as a share of the outputs' range.
+    @cached_property
+    def folds(self) -> list[list[BoolArray]]:
+        """Of each fold, which rows of each log are held out."""
+        files = list(dict.fromkeys(log.source.file for log in self.logs))
+        if len(files) > 1:
+            fold = {name: number % _FOLDS for number, name in enumerate(files)}
+            numbers = [np.full(len(log), fold[log.source.file]) for log in self.logs]
+        else:
+            numbers = []
+            for log in self.logs:
+                many = int(np.clip(len(log) * log.dt_s / _STRETCH_S, _FOLDS, _STRETCHES))
+                numbers.append(np.arange(len(log)) * many // len(log) % _FOLDS)
+        found = sorted(set(np.concatenate(numbers).tolist()))
+        return [[each == number for each in numbers] for number in found]
 
-        NaN where a fold has nothing to fit to. An output that no sample to fit or to judge shows is
-        left out of the fold. `begins` is called as each fit begins.
+    def judged(self, config: RunConfig, begins: Callable[[], None] = lambda: None) -> list[_Judged]:
+        """Judge a form in each fold; all NaN where one has nothing to fit to.
+
+        `begins` is called as each fit begins.
         """
         found = []
-        for fold in self.folds:
+        for held in self.folds:
             begins()
-            fitted, judged = fold.of(self.samples)
+            parts = [
+                one.rows(slice(start, stop))
+                for one, out in zip(self._samples, held, strict=True)
+                for start, stop in spans(~out)
+            ]
+            coarse, dt_s = thinned(parts, self.logs[0].dt_s, _CHOICE_GRID_S)
             try:
-                engine = fitted_form(config, fitted, self.steady, self.dt_s)
+                engine = fitted_form(config, coarse, self.steady, dt_s)
             except DataError:  # the core never moves without what is judged
-                return np.full(len(self.folds), np.nan)
-            known = np.concatenate([np.isfinite(one.measured) for one in fitted]).any(axis=0)
-            error = np.concatenate([self._error(engine, one) for one in judged])
-            known &= np.isfinite(error).any(axis=0)
-            found.append(np.log(geometric_rms([error[:, known]])) if known.any() else np.nan)
-        return np.array(found)
+                nothing = np.full((0, len(self.steady.output_names)), np.nan)
+                return [_Judged(nothing, np.nan)] * len(self.folds)
+            known = np.concatenate([np.isfinite(one.measured) for one in parts]).any(axis=0)
+            found.append(self._judged(engine, held, np.asarray(known)))
+        return found
 
-    def _error(self, engine: LumpedEngine, one: LagSamples) -> FloatArray:
-        """Error (rows, outputs) of the free run where the core moves, over the outputs' range."""
-        deviation = one.ss - one.measured
-        drive = engine.drive(one.inputs, self.steady.input_names, one.ss)
-        error = engine.deviations(drive, deviation[0], self.dt_s) - deviation
-        core = core_of(tuple(self.steady.output_names))
-        rows = moving(one.ss[:, core], self._range[core], self.dt_s)
-        share: FloatArray = error[rows] / self._range
-        return share
+    def _judged(self, engine: LumpedEngine, held: Sequence[BoolArray], known: BoolArray) -> _Judged:
+        losses, errors = [], []
+        names = list(self.steady.output_names)
+        core = core_of(tuple(names))
+        for log, one, out in zip(self.logs, self._samples, held, strict=True):
+            if not out.any():
+                continue
+            deviation = one.ss - one.measured
+            drive = engine.drive(one.inputs, self.steady.input_names, one.ss)
+            run = engine.deviations(drive, deviation[0], log.dt_s)
+            at, found = response_losses(log, one.ss - run, names, self.config)
+            losses.append(found[out[at]])
+            rows = out & moving(one.ss[:, core], self._range[core], log.dt_s)
+            errors.append((run - deviation)[rows] / self._range)
+        error = np.concatenate(errors)
+        known &= np.isfinite(error).any(axis=0)
+        left = np.log(geometric_rms([error[:, known]])) if known.any() else np.nan
+        return _Judged(np.concatenate(losses), float(left))
 
-    @property
+    @cached_property
+    def _samples(self) -> list[LagSamples]:
+        return [lag_samples(log, self.steady, self.config) for log in self.logs]
+
+    @cached_property
     def _range(self) -> FloatArray:
         """Of each output over all samples (outputs,)."""
-        ss = np.concatenate([one.ss for one in self.samples])
+        ss = np.concatenate([one.ss for one in self._samples])
         width: FloatArray = np.maximum(np.ptp(ss, axis=0), 1e-9)
         return width

@@ -1,22 +1,26 @@
-"""The mixture of models in each output, with weights by free runs over what was held out.
+"""Which model leads a speed, and the mixture of models in each other output, by what was held out.
 
 The training logs are divided into folds (`training.folds`). In each, steady state, lags, network
-and simple models are fitted anew to the rest, and all of them run free over what is held out. All
-rest on one steady state, whose error they share: it says nothing about weights and hides what does,
-so errors pass a high pass of `_MOVES_S` first. With E_r (models, models) the mean products of what
-is left over piece r (a recording, or a region), the weights w >= 0 of sum 1 minimise (stacking:
-Wolpert 1992, Neural Networks 5(2), with a Dirichlet prior)
+and simple models are fitted anew to the rest, and all of them run free over what is held out. The
+test logs take no part. The network alone is shown whatever is chosen.
+
+**Speeds** have one model, for response times of a mixture are those of none. The network on lags
+leads. The lags alone do where they have clearly less loss of response times
+(`training.transients`, `training.folds.clearly_less`) or, neither having less, clearly a lower
+RMSE; a simple model only where it has clearly less loss.
+
+**Other outputs** are mixed. With E_r (models, models) the mean products of errors over piece r (a
+recording, or a region), the weights w >= 0 of sum 1 minimise (stacking: Wolpert 1992, Neural
+Networks 5(2), with a Dirichlet prior of equal weights p)
 
     sum_r 1/2 ln(w' E_r w) - a sum_i p_i ln w_i,        a = `_PRIOR` pieces
 
-so that every piece counts alike, and few pieces leave the weights near those of the prior, p. Of
-speeds, lags in the parameters of rotors and the network on their residual have most of it: RMS
-errors hardly differ between models, while response times of a mixture with simple ones are those of
-none. Of other outputs, whose lags rest on no such law, it is equal. One model leads alone if its
-errors are clearly (`training.folds.surely_below`) below those of every other model and of the
-mixture with weights by the other pieces. Lags and network share one model: the network's deviation
-takes its share of both. The test logs take no part. The network alone is shown whatever the
-weights.
+so that every piece counts alike. All rest on one steady state, whose error they share: it says
+nothing about weights and hides what does, so errors pass a high pass of `_MOVES_S` first. One model
+leads alone if its errors are clearly (`training.folds.surely_below`) below those of every other
+model and of the mixture with weights by the other pieces. Lags and network share one model: the
+network's deviation takes its share of both. With fewer than two pieces nothing says that lags and
+network carry over, and the simple models have equal weights.
 """
 
 from __future__ import annotations
@@ -39,8 +43,9 @@ from narxcal.support.errors import DataError
 from narxcal.support.progress import Progress, silent
 from training.baselines import Baselines, run_of
 from training.config import RunConfig
-from training.folds import LogFold, log_folds, surely_below
+from training.folds import LogFold, clearly_less, log_folds, surely_below
 from training.levels import lag_of, level_of
+from training.transients import response_losses
 
 NETWORK: Final = "network"
 LAGS: Final = "lags"
@@ -49,11 +54,6 @@ LAGS: Final = "lags"
 SIMPLE: Final[tuple[Kind, ...]] = ("first_order", "arx", "output_error")
 MODELS: Final = (NETWORK, LAGS, *SIMPLE)
 _PRIOR: Final = 0.5  # pieces that the prior weights count as; 0.3 to 2 differ by 1 %
-# Share of network and lags in the prior of a speed. Of 0.4, 0.8 and 0.9 the second leaves the least
-# error on A321, AGTF30, JetCat and test cell together. Found once from stored fits, as that other
-# outputs are best with equal weights; the Citation was seen, where four in five response times pass
-# in the place of two in three.
-_OWN: Final = 0.8
 # Time constant of the high pass. Of none, 120, 60, 20 and 5 s it leaves the least error on AGTF30,
 # micro gas turbine, test cell and JetCat together; without the micro gas turbine 5 s does. Found
 # once from stored fits, no command repeats it; the Citation had been seen.
@@ -86,8 +86,8 @@ class HeldOut(NamedTuple):
     """Free runs (models, time, outputs) over a held-out log, in the order of `MODELS`.
 
     `steady` and `measured` are (time, outputs), `inside` (time,) tells where the inputs lie within
-    the envelope of what was fitted; `piece` is what the log counts for. A model that the
-    calibration lacks is NaN.
+    the envelope of what was fitted; `piece` is what the log counts for; `losses` (models,
+    transients, outputs) are those of response times. A model that the calibration lacks is NaN.
     """
 
     log: str
@@ -98,6 +98,7 @@ class HeldOut(NamedTuple):
     measured: FloatArray
     inside: BoolArray
     dt_s: float
+    losses: FloatArray
 
     def mixed(self, weights: FloatArray) -> FloatArray:
         """Free run (time, outputs) of the mixture with `weights` (models, outputs)."""
@@ -239,19 +240,19 @@ def choose_mixture(
         except DataError as error:
             lost[fold.name] = str(error.problem)
             continue
-        held += [held_out(found, Baselines.from_json(own), log, fold) for log in fold.judged]
+        simple = Baselines.from_json(own)
+        held += [held_out(config, found, simple, log, fold) for log in fold.judged]
     simple = Baselines.from_json(fitted)
     fits = [
         np.array([True, calibration.lag is not None, *(simple.has(kind, k) for kind in SIMPLE)])
         for k in range(len(calibration.output_names))
     ]
-    weights = np.stack(
-        [
-            weights_of(error_products(held, k), prior_of(name), fits[k])
-            for k, name in enumerate(calibration.output_names)
-        ],
-        axis=1,
-    )
+    weights = np.zeros((len(MODELS), len(calibration.output_names)))
+    for k, name in enumerate(calibration.output_names):
+        if spools_of([name]):
+            weights[leader_of(held, k, fits[k]), k] = 1.0
+        else:
+            weights[:, k] = weights_of(error_products(held, k), fits[k])
     if not held:
         reason = next(iter(lost.values()), "nothing could be held out")
         status = f"usual weights: {reason}; add a longer or another log"
@@ -264,7 +265,11 @@ def choose_mixture(
 
 
 def held_out(
-    calibration: DynamicCalibration, baselines: Baselines, log: Log, fold: LogFold
+    config: RunConfig,
+    calibration: DynamicCalibration,
+    baselines: Baselines,
+    log: Log,
+    fold: LogFold,
 ) -> HeldOut:
     """Run all models over one held-out log."""
     own = calibration.for_engine(log.source.engine, or_mean=True)
@@ -279,14 +284,35 @@ def held_out(
         lags,
         *(baselines.simulate(kind, run.steady, start, own.dt_s) for kind in SIMPLE),
     )
+    losses = [response_losses(log, each, own.output_names, config)[1] for each in models]
     return HeldOut(
         log.name, fold.piece(log), fold.whole,
         np.stack(models), run.steady, run.measured, own.steady.inside(inputs), own.dt_s,
+        np.stack(losses),
     )  # fmt: skip
 
 
-def error_products(held: Sequence[HeldOut], k: int) -> FloatArray:
-    """Mean products (pieces, models, models) of the errors in output `k` behind the high pass.
+def leader_of(held: Sequence[HeldOut], k: int, fitted: BoolArray) -> int:
+    """Number of the model that leads speed `k`; `fitted` (models,) are those fitted to all logs."""
+    best, errors = 0, np.diagonal(error_products(held, k, high_pass=False), axis1=1, axis2=2)
+    for other in np.flatnonzero(fitted)[1:].tolist():
+        if not len(errors) or not np.isfinite(errors[:, other]).all():
+            continue
+        pieces: dict[str, list[FloatArray]] = {}
+        for one in held:
+            difference = one.losses[other, :, k] - one.losses[best, :, k]
+            pieces.setdefault(one.piece, []).append(difference)
+        differences = [np.concatenate(each) for each in pieces.values()]
+        tied = not clearly_less([-each for each in differences])
+        ratios = 0.5 * np.log(errors[:, other] / errors[:, best])
+        lower = MODELS[other] == LAGS and tied and surely_below(ratios)
+        if lower or clearly_less(differences):
+            best = other
+    return best
+
+
+def error_products(held: Sequence[HeldOut], k: int, *, high_pass: bool = True) -> FloatArray:
+    """Mean products (pieces, models, models) of the errors in output `k`, behind the high pass.
 
     Pieces without a measured sample are left out; a model that has no free run is NaN.
     """
@@ -294,7 +320,8 @@ def error_products(held: Sequence[HeldOut], k: int) -> FloatArray:
     counts: dict[str, int] = {}
     for one in held:
         errors = (one.models - one.measured)[:, :, k]
-        errors = _high_passed(errors[:, np.isfinite(one.measured[:, k])], one.dt_s)
+        errors = errors[:, np.isfinite(one.measured[:, k])]
+        errors = _high_passed(errors, one.dt_s) if high_pass else errors
         sums[one.piece] = sums.get(one.piece, 0.0) + errors @ errors.T
         counts[one.piece] = counts.get(one.piece, 0) + errors.shape[1]
     found = [sums[piece] / count for piece, count in counts.items() if count]
@@ -310,22 +337,11 @@ def _high_passed(errors: FloatArray, dt_s: float) -> FloatArray:
     return np.asarray(errors - slow)
 
 
-def prior_of(output: str) -> FloatArray:
-    """Prior weights (models,) of an output."""
-    if not spools_of([output]):
-        return np.full(len(MODELS), 1.0 / len(MODELS))
-    simple = len(SIMPLE)
-    return np.array([0.5 * _OWN] * 2 + [(1.0 - _OWN) / simple] * simple)
-
-
-def weights_of(
-    products: FloatArray, prior: FloatArray, fitted: BoolArray | None = None
-) -> FloatArray:
+def weights_of(products: FloatArray, fitted: BoolArray | None = None) -> FloatArray:
     """Weights (models,) by mean products of errors (pieces, models, models); see the module.
 
     A model without a free run over some piece has none, nor one that is not among those `fitted`
-    (models,) to all logs. Without any piece the others have those of the prior, without any model
-    that has one the network is alone.
+    (models,) to all logs. Without any model that has one the network is alone.
     """
     usable = np.isfinite(np.diagonal(products, axis1=1, axis2=2)).all(axis=0)
     usable = usable if fitted is None else usable & fitted
@@ -333,13 +349,16 @@ def weights_of(
     if not usable.any():
         weights[0] = 1.0
         return weights
-    prior = usable * prior / (usable @ prior)
+    simple = usable & np.isin(MODELS, SIMPLE)
+    if len(products) < 2 and simple.any():
+        return np.asarray(simple / simple.sum())
+    prior = np.full(int(usable.sum()), 1.0 / usable.sum())
     if not len(products):
-        return np.asarray(prior)
+        weights[usable] = prior
+        return weights
     known = products[:, usable][:, :, usable]
     floor = _LEAST_ERROR**2 * max(float(known.max()), 1e-300)
     known = known + floor * np.eye(known.shape[1])
-    prior = prior[usable]
     leader = _leader(known, prior)
     found = _stacked(known, prior) if leader is None else np.eye(known.shape[1])[leader]
     found = np.where(found < _LEAST_WEIGHT, 0.0, found)

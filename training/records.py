@@ -182,7 +182,7 @@ def deviation_record(
 
     With lags in front of it, the deviations are the residual of the lags.
     """
-    heat = lag if config.narx.lag_heat and lag is not None and not lag.governed else None
+    heat = None if lag is None or lag.governed else lag
     one = lag_samples(log, steady, config, heat)
     deviation, lagged = one.ss - one.measured, None
     if lag is not None:

@@ -12,15 +12,27 @@ squared errors is penalised by
     (s / (e Y))^2 / n (c^2 + d^2)
 
 so that half a flight keeps similarity, and several flights move it.
+
+**Engines.** Each deviates from the mean of all by sum_k c_k P_k(x), with Legendre polynomials up to
+`_DEGREE` over the range of the driver, normalised to a mean square of one. c_k is normal with the
+standard deviation t_k S_o, S_o being the scatter between engines of a type in output o
+(`training.levels`), and is penalised like the exponents. t_k is learned over engines and outputs:
+
+    t_k^2 = (p 4^-k + sum c_k^2 / S_o^2) / (p + n)
+
+with the prior of p logs that each degree has half the scatter of the one below. A single engine
+has none.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final
 
 import numpy as np
+from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
@@ -37,6 +49,7 @@ from narxcal.steady.model import Envelope
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, DataError
 from training.config import SteadyFitConfig
+from training.levels import PRIOR_LOGS, prior_share
 
 _NOT_MONOTONE = 0.8  # of the residual that a monotone curve leaves
 _USUAL = SteadyFitConfig()
@@ -48,6 +61,9 @@ _ROWS = 20000  # more quasi-steady samples than this tell nothing new
 SPREADS: Final = {"%": (0.06, 0.03), "degC": (0.12, 0.065)}
 _UNKNOWN: Final = (1.0, 1.0)
 _NEAR: Final = 0.15  # of the driver's range: curves may still bend so far beyond the samples
+_DEGREE: Final = (
+    2  # constant, line, parabola: higher ones differ as much between flights as engines
+)
 _UNRELATED: Final = 0.05  # autocorrelation below which samples count as independent
 
 
@@ -82,12 +98,13 @@ def fit_steady_state(
     Corrected parameters without ALT_ft raise `ConfigError`.
     """
     design, data = linear_problem(samples, layout, config)
+    strengths = _strengths(design, data, spreads)
+    parts = zip(layout.output_names, data.corrected.T, strengths, strict=True)
     curves = [
-        _curve(design, data.matrix, column, (name, spreads))
-        for name, column in zip(layout.output_names, data.corrected.T, strict=True)
+        _curve(replace(design, strengths=own), data.matrix, column, name)
+        for name, column, own in parts
     ]
-    coefficients = np.stack(curves)
-    model = design.model(coefficients)
+    model = design.model(np.stack(curves))
     return model, _quality(model, (data.inputs, data.outputs, data.engines))
 
 
@@ -192,24 +209,10 @@ def _distinguished(samples: Sequence[SteadySamples]) -> tuple[str, ...]:
     return tuple(engines) if len(engines) > 1 else ()
 
 
-def _curve(
-    design: _Design,
-    matrix: FloatArray,
-    target: FloatArray,
-    output: tuple[str, Mapping[str, tuple[float, float]]],
-) -> FloatArray:
-    """Coefficients of one output: monotone, unless it may turn and the samples clearly say so.
-
-    `output` is its name, and the spreads of exponents by unit.
-    """
-    name, spreads = output
-    own = spreads["degC" if name.endswith("_C") else "%"] if name in CHANNELS else _UNKNOWN
-    if design.layout.exponents:
-        first = design.solve(matrix, target, monotone=True)
-        strengths = _exponent_strengths(design.layout, target, target - matrix @ first, own)
-        design = replace(design, exponents=strengths)
+def _curve(design: _Design, matrix: FloatArray, target: FloatArray, output: str) -> FloatArray:
+    """Coefficients of one output: monotone, unless it may turn and the samples clearly say so."""
     monotone = design.solve(matrix, target, monotone=True)
-    if not _may_turn(name):
+    if not _may_turn(output):
         return monotone
     free = design.solve(matrix, target, monotone=False)
     left = [float(np.nansum((matrix @ each - target) ** 2)) for each in (free, monotone)]
@@ -221,15 +224,37 @@ def _may_turn(output: str) -> bool:
     return output.endswith("_C") or output not in CHANNELS
 
 
-def _exponent_strengths(
-    layout: Layout, target: FloatArray, residual: FloatArray, spreads: tuple[float, float]
-) -> tuple[float, ...]:
-    """Penalties on the exponents of `layout` in one output; see the module."""
-    known = residual[np.isfinite(residual)]
-    level = max(float(np.median(np.abs(target[np.isfinite(target)]))), 1e-9)
-    variance = float(np.mean(known**2)) / _independent(known)
-    spread = dict(zip(RATIOS, spreads, strict=True))
-    return tuple(variance / (spread[ratio] * level) ** 2 for ratio in layout.exponents)
+def _strengths(
+    design: _Design, data: LinearData, spreads: Mapping[str, tuple[float, float]]
+) -> FloatArray:
+    """Penalties (n_out, lines) on what engines, switches and exponents add; see the module."""
+    usual = np.full((len(data.corrected.T), design.lines), design.config.scatter)
+    if not design.engines and not design.layout.exponents:
+        return usual
+    names = design.layout.output_names
+    first = np.stack([design.solve(data.matrix, y, monotone=True) for y in data.corrected.T])
+    errors = data.corrected - data.matrix @ first.T
+    known = [each[np.isfinite(each)] for each in errors.T]
+    variance = np.array([np.mean(each**2) / _independent(each) for each in known])
+    level = np.maximum(np.nanmedian(np.abs(data.corrected), axis=0), 1e-9)
+    if design.engines:
+        count = len(design.engines) * (1 + _DEGREE)
+        scatter = level * [prior_share(name) for name in names]
+        own = first[:, -design.lines :][:, :count].reshape(len(names), -1, 1 + _DEGREE)
+        shares = np.sum((own / scatter[:, None, None]) ** 2, axis=(0, 1))
+        prior = PRIOR_LOGS * 4.0 ** -np.arange(1 + _DEGREE)
+        t = np.sqrt((prior + shares) / (PRIOR_LOGS + own[..., 0].size))
+        each = variance[:, None] / (scatter[:, None] * t) ** 2
+        usual[:, :count] = np.tile(each, len(design.engines))
+    for k, ratio in enumerate(design.layout.exponents):
+        spread = np.array([_spread(name, spreads)[RATIOS.index(ratio)] for name in names])
+        at = design.lines - 2 * (len(design.layout.exponents) - k)
+        usual[:, at : at + 2] = (variance / (spread * level) ** 2)[:, None]
+    return usual
+
+
+def _spread(output: str, spreads: Mapping[str, tuple[float, float]]) -> tuple[float, float]:
+    return spreads["degC" if output.endswith("_C") else "%"] if output in CHANNELS else _UNKNOWN
 
 
 def _independent(residual: FloatArray) -> float:
@@ -253,7 +278,7 @@ class _Design:
     engines: tuple[str, ...]
     config: SteadyFitConfig
     air_seen: FloatArray
-    exponents: tuple[float, ...] = ()
+    strengths: FloatArray | None = None
 
     @property
     def corners(self) -> int:
@@ -263,14 +288,33 @@ class _Design:
     def splines(self) -> int:
         return len(self.knots)
 
+    @property
+    def lines(self) -> int:
+        """Number of columns behind those of the curves."""
+        others = len(self.layout.switches) + len(self.layout.exponents)
+        return len(self.engines) * (1 + _DEGREE) + 2 * others
+
+    @cached_property
+    def shapes(self) -> FloatArray:
+        """Coefficients (1 + splines, 1 + degree) of what engines add, of 1 and the splines."""
+        z = np.linspace(self.seen[0], self.seen[1], 20 * len(self.knots))
+        degrees = np.arange(1 + _DEGREE)
+        wanted = legvander(np.linspace(-1.0, 1.0, len(z)), _DEGREE) * np.sqrt(2 * degrees + 1)
+        return np.asarray(np.linalg.lstsq(self.basis(z), wanted, rcond=None)[0])
+
+    def basis(self, drive: FloatArray) -> FloatArray:
+        """1 and the splines (n, 1 + splines)."""
+        return np.concatenate([np.ones((len(drive), 1)), i_splines(self.knots)(drive)], axis=1)
+
     def matrix(self, inputs: FloatArray, names: NDArray[np.str_]) -> FloatArray:
-        """Columns: by corner 1 and the splines, then by engine, switch and ratio 1 and slope."""
+        """Columns: by corner 1 and the splines; by engine shapes; by switch, ratio 1 and slope."""
         drive = self.layout.drive(inputs)
-        basis = np.concatenate([np.ones((len(drive), 1)), i_splines(self.knots)(drive)], axis=1)
+        basis = self.basis(drive)
         weights = self.layout.corners(inputs, self.envelope)
         curve = (weights[:, :, None] * basis[:, None, :]).reshape(len(drive), -1)
         line = np.stack([np.ones_like(drive), scaled_driver(drive, self.knots)], axis=1)
-        lines = [line * (names == engine)[:, None] for engine in self.engines]
+        own = basis @ self.shapes
+        lines = [own * (names == engine)[:, None] for engine in self.engines]
         lines += [line * self.layout.column(inputs, name)[:, None] for name in self.layout.switches]
         shares = centred_ratios(self.layout.ratios(inputs), self.air_seen)
         lines += [line * share[:, None] for share in shares.T]
@@ -318,23 +362,25 @@ class _Design:
                     for j in range(width):
                         pair = {corner * width + j: -1.0, other * width + j: 1.0}
                         rows.append(_row(size, pair, self.config.spread))
-        first = self.corners * width
-        strengths = np.full(size - first, self.config.scatter)
-        if self.exponents:
-            strengths[-2 * len(self.exponents) :] = np.repeat(self.exponents, 2)
-        pairs = zip(range(first, size), strengths.tolist(), strict=True)
+        usual = np.full(self.lines, self.config.scatter)
+        strengths = usual if self.strengths is None else self.strengths
+        pairs = zip(range(self.corners * width, size), strengths.tolist(), strict=True)
         rows += [_row(size, {j: 1.0}, strength) for j, strength in pairs]
         return np.array(rows)
 
     def model(self, coefficients: FloatArray) -> FittedSteadyState:
         """Coefficients (n_out, columns) to a model whose curve is the mean engine's."""
         at = self.corners * (1 + self.splines)
-        curve = coefficients[:, :at].reshape(len(coefficients), self.corners, -1)
-        lines = coefficients[:, at:].reshape(len(coefficients), -1, 2).transpose(1, 0, 2)
+        engines = at + len(self.engines) * (1 + _DEGREE)
+        count = len(coefficients)
+        curve = coefficients[:, :at].reshape(count, self.corners, -1)
+        own = coefficients[:, at:engines].reshape(count, -1, 1 + _DEGREE) @ self.shapes.T
         knots, curve = self._straight_on(curve)
+        more = (len(knots) - len(self.knots)) // 2
+        lines = coefficients[:, engines:].reshape(count, -1, 2).transpose(1, 0, 2)
         lines = lines * [1.0, (len(knots) - 1) / (self.splines - 1)]  # slopes are over all knots
-        engines = len(self.engines)
-        switches = engines + len(self.layout.switches)
+        own = np.pad(own, ((0, 0), (0, 0), (0, 2 * more)))
+        own[..., 1:] = np.roll(own[..., 1:], more, axis=-1)  # an engine's own curve ends level
         return FittedSteadyState(
             layout=self.layout,
             envelope=self.envelope,
@@ -342,9 +388,9 @@ class _Design:
             knots=knots,
             curve=curve,
             engines=self.engines,
-            engine_lines=lines[:engines],
-            switch_lines=lines[engines:switches],
-            air_lines=lines[switches:],
+            engine_curves=own.transpose(1, 0, 2),
+            switch_lines=lines[: len(self.layout.switches)],
+            air_lines=lines[len(self.layout.switches) :],
             air_seen=self.air_seen,
         )
 

@@ -32,8 +32,7 @@ from narxcal.support.progress import Progress, silent
 from training.baselines import Run, arx_of, linear, start_of
 from training.config import RunConfig
 from training.folds import Fold, geometric_rms, surely_below, thirds
-from training.lags import PLAIN, Trial, thinned, with_form
-from training.records import lag_samples
+from training.lags import PLAIN, Trial, with_form
 
 _STEP_S: Final = 0.2
 _LONGEST_S: Final = 5.0
@@ -75,26 +74,24 @@ def choose_delay(
     if best <= _IMITATED or not surely_below(coarse[best] - coarse[0]):
         return DelayChoice(None, profile)
     near = candidates[best] + _STEP_S * np.array([-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0])
-    found = _by_lags(config, steady, (parts, folds), np.concatenate([[0.0], near]), progress)
+    found = _by_lags(config, steady, logs, np.concatenate([[0.0], near]), progress)
     return found or DelayChoice(None, profile)
 
 
 def _by_lags(
     config: RunConfig,
     steady: SteadyStateModel,
-    held_out: tuple[Sequence[Log], Sequence[Fold]],
+    logs: Sequence[Log],
     candidates: FloatArray,
     progress: Progress,
 ) -> DelayChoice | None:
     """Judge `candidates`, the first of which is 0, by plain lags; None if 0 is as good."""
-    parts, folds = held_out
     plain, errors = with_form(config, PLAIN), []
     for number, delay_s in enumerate(candidates.tolist()):
         progress(number, len(candidates), "looking for a delay")
         late = TransportDelay((config.driver,), delay_s, delay_s, delay_s)
-        samples = [lag_samples(delayed(log, late), steady, config) for log in parts]
-        samples, dt_s = thinned(samples, parts[0].dt_s, _STEP_S)
-        errors.append(Trial(steady, samples, folds, dt_s).left(plain))
+        trial = Trial(steady, [delayed(log, late) for log in logs], config)
+        errors.append([each.error for each in trial.judged(plain)])
     table = np.array(errors)
     best = int(table.mean(axis=1).argmin())
     if not np.isfinite(table).all() or not surely_below(table[best] - table[0]):

@@ -23,7 +23,6 @@ from eval.evaluate import Evaluation, evaluate
 from eval.report.event_figures import summary_figure
 from eval.report.view import view_of
 from eval.run_logs import evaluation_logs, run_config
-from eval.transients import AssessedEvent, Tally, tally
 from narxcal.calibration.bundle import Bundle, load_bundle
 from narxcal.channels import channel
 from narxcal.support.arrays import FloatArray
@@ -33,6 +32,7 @@ from training.config import RunConfig, load_config
 from training.folds import leave_one_flight_out
 from training.pipeline import calibrate, configured_files
 from training.records import Split
+from training.transients import AssessedEvent, Tally, tally
 
 _SOURCE = "our goal"
 _PART = 0.2

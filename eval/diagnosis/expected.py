@@ -25,7 +25,6 @@ from scipy.stats import t
 
 from data_prep.events import PUSH, Event
 from eval.diagnosis.flights import GapData
-from eval.response import Transient, TransientConfig, measure_transient
 from narxcal.effects.base import Signals
 from narxcal.effects.library import effect, name_of
 from narxcal.effects.running import Emulator, Flights, Setting, respond
@@ -33,6 +32,7 @@ from narxcal.effects.steady import UnloggedSwitch
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError
 from training.diagnosis.budget import Interval
+from training.response import Transient, TransientConfig, measure_transient
 
 Values = Mapping[str, Mapping[str, float]]  # effect -> parameter -> value
 

@@ -10,7 +10,6 @@ import numpy as np
 from data_prep.events import PULL, PUSH, Event, EventsConfig, find_events
 from data_prep.log import Log
 from eval.diagnosis.pairs import RATES, Pair
-from eval.response import HIGH, LOW
 from narxcal.channels import spools_of
 from narxcal.effects.base import Signals
 from narxcal.effects.running import Flights, with_load
@@ -19,6 +18,7 @@ from narxcal.support.arrays import FloatArray, IntArray, block_means, noise_leve
 from narxcal.support.errors import DataError
 from training.diagnosis.budget import Phases
 from training.diagnosis.metric import TOLERANCE, Record
+from training.response import HIGH, LOW
 
 Regimes = dict[str, tuple[tuple[str, ...], IntArray]]
 DIRECTIONS = ("push", "pull", "steady")

@@ -21,10 +21,10 @@ from matplotlib.ticker import MaxNLocator
 from eval.report import style
 from eval.report.style import AnyFloats, Picture, envelope, picture, spans, with_unit
 from eval.report.view import Curves, LogView
-from eval.rules import time_bands
-from eval.transients import AssessedEvent, Assessment
 from narxcal.channels import symbol
 from narxcal.support.arrays import FloatArray
+from training.rules import time_bands
+from training.transients import AssessedEvent, Assessment
 
 
 def large(view: LogView, one: AssessedEvent) -> Picture:

@@ -31,10 +31,10 @@ from data_prep.events import PUSH, Event
 from eval.report import style
 from eval.report.figures import most_eventful
 from eval.report.view import Curves, LogView, stretch_s
-from eval.rules import time_bands
-from eval.transients import AssessedEvent, Assessment
 from narxcal.intervals import LEVEL
 from narxcal.support.arrays import FloatArray, spans
+from training.rules import time_bands
+from training.transients import AssessedEvent, Assessment
 
 if TYPE_CHECKING:
     from eval.compare import Comparison

@@ -18,9 +18,9 @@ from eval.outcome import Outcome
 from eval.report import event_figures, figures, live, tables
 from eval.report.style import unit
 from eval.report.view import LogView
-from eval.transients import AssessedEvent, tally
 from narxcal.channels import symbol
 from narxcal.support.files import atomic_write_text, versions
+from training.transients import AssessedEvent, tally
 
 if TYPE_CHECKING:
     from eval.compare import Comparison

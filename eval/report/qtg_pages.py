@@ -27,13 +27,13 @@ from eval.report.pdf import (
     to_pdf,
     wrapped,
 )
-from eval.rules import TimeCheck
-from eval.transients import Assessment
 from narxcal.channels import described, symbol
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import versions
 from training.config import RunConfig
+from training.rules import TimeCheck
+from training.transients import Assessment
 
 _PLOT_LEFT, _LEAST_PLOTS = 34.0, 60.0  # mm
 _RECORDED, _MASTER = "#8c959f", style.BAD

@@ -18,10 +18,10 @@ from data_prep.log import Audit, AuditEntry, Source
 from eval.outcome import plural
 from eval.report.style import NOTHING, number, unit, with_unit
 from eval.report.view import LogView
-from eval.rules import TimeCheck
-from eval.transients import AssessedEvent, Assessment, not_assessable, tally
 from narxcal.channels import symbol
 from narxcal.intervals import LEVEL
+from training.rules import TimeCheck
+from training.transients import AssessedEvent, Assessment, not_assessable, tally
 
 if TYPE_CHECKING:
     from eval.compare import Comparison

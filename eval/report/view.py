@@ -20,12 +20,12 @@ from data_prep.log import Log
 from data_prep.prepare import hold_inputs, with_outputs
 from data_prep.ranking import pearson
 from eval.residuals import ResidualTests, residual_tests
-from eval.transients import AssessedEvent, Assessment
 from narxcal.channels import described
 from narxcal.intervals import LEVEL
 from narxcal.record import Record, RecordLike, as_records, columns, known_start
 from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import DataError
+from training.transients import AssessedEvent, Assessment
 
 if TYPE_CHECKING:
     from eval.log_evaluation import LogEvaluation

@@ -26,12 +26,12 @@ from eval.reproduce.data import PHASES, SPEEDS, DataSets, Effort, phase_of, piec
 from eval.reproduce.study import Claim, Study, or_nan, table_of
 from eval.run_logs import EvaluateConfig, run_config
 from eval.scores import max_relative_percent, score
-from eval.transients import AssessedEvent, Assessment, tally
 from narxcal.calibration.bundle import Bundle
 from narxcal.channels import symbol
 from narxcal.support.progress import Progress, silent
 from training.folds import divide
 from training.pipeline import run_plans
+from training.transients import AssessedEvent, Assessment, tally
 
 PAPER_PCT = 5.0  # below which the paper finds all its largest errors
 

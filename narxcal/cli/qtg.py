@@ -19,14 +19,14 @@ from eval.qtg import (
     start_file,
 )
 from eval.report.qtg_pages import guide_pdf
-from eval.rules import RULES, TOLERANCE_SHARE
 from eval.run_logs import recorded_logs, run_config
-from eval.transients import TransientsConfig
 from narxcal.calibration.bundle import Bundle, load_bundle
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_data, add_logs, add_overwrite, add_run, path
 from narxcal.cli.results import check_pair, logs_for
 from narxcal.support.files import atomic_write_bytes, atomic_write_text, check_file, to_json
+from training.rules import RULES, TOLERANCE_SHARE
+from training.transients import TransientsConfig
 
 
 def add_options(parser: ArgumentParser) -> None:

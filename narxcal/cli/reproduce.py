@@ -33,13 +33,13 @@ from eval.reproduce.data import (
 from eval.reproduce.narx_paper import SCHEMA, Reproduction, reproduce
 from eval.reproduce.spey import spey_studies
 from eval.reproduce.study import Study, counts, missed, outcome_of, reproduction_page
-from eval.rules import rules
 from narxcal.calibration.bundle import write_bundle
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_data, add_jobs, add_out, seed
 from narxcal.cli.results import data_files, read_config
 from narxcal.support.files import Results, atomic_write_text, to_json, versions
 from training.config import RunConfig
+from training.rules import rules
 
 DOCUMENT, PAGE, FLIGHTS, MODEL = "reproduce.json", "reproduce.html", "flights", "model"
 RESULTS = Results(SCHEMA, DOCUMENT, (PAGE, FLIGHTS, MODEL))

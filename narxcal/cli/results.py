@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 from data_prep.log import Log, Source
 from eval.outcome import plural
 from eval.report.page import RunHeader
-from eval.rules import Rules
 from narxcal.channels import described
 from narxcal.cli.console import Console
 from narxcal.intervals import ENOUGH, LEVEL, HalfWidths
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import check_file
 from training.config import IdentifyConfig, RunConfig, load_config
+from training.rules import Rules
 
 if TYPE_CHECKING:
     from narxcal.calibration.bundle import Bundle
@@ -104,8 +104,8 @@ def lag_words(record: RunRecord) -> str:
     found = record.lag_form
     if found is None or not found.form:
         return ""
-    left = ", ".join(f"{form} {100.0 * share:.2g} %" for form, share in found.left.items())
-    chosen = f"; chosen by the error on logs that were left out: {left}" if left else ""
+    left = ", ".join(f"{form} {loss:.2g}" for form, loss in found.left.items())
+    chosen = f"; loss of Ti and Tt on logs that were left out: {left}" if left else ""
     return f"{_LAGS.get(found.form, found.form)}{chosen}"
 
 

@@ -86,7 +86,7 @@ class _Model:
             low, width = n["low"][b], max(n["high"][b] - n["low"][b], 1e-12)
             share = clip((given[b] - low) / width, 0.0, 1.0)
             weights = [each for w in weights for each in (w * (1.0 - share), w * share)]
-        flat = n["curve"].reshape(len(knot) - 1, -1)
+        flat = n["curve"][0].reshape(len(knot) - 1, -1)
         row = g.constant(flat).to("Gather", piece)
         ratios = []
         for k, which in enumerate(n["ratio"]):
@@ -94,8 +94,7 @@ class _Model:
             ratios.append(clip(air[which].to("Log"), low, high) - 0.5 * (low + high))
         found = []
         for o in range(self.outputs):
-            line = n["engines"][0][o]
-            y = line[0] + line[1] * x
+            y: Any = 0.0
             for v, weight in enumerate(weights):
                 at = 3 * (o * len(weights) + v)
                 c = [row.column(at + k) for k in range(3)]

@@ -118,10 +118,11 @@ def _kind(name: str, *, corrected: bool) -> int:
 def _fitted(model: FittedSteadyState) -> Struct:
     layout, names = model.layout, model.input_names
     taylor = model._splines.c[::-1]  # noqa: SLF001 (value, slope, curvature; piece; spline)
-    pieces = np.einsum("tps,ovs->povt", taylor, model.curve[..., 1:])
-    pieces[..., 0] += model.curve[..., 0]
-    none = np.zeros((len(model.output_names), 2))
-    lines = dict(zip(model.engines, model.engine_lines, strict=True))
+    chosen = model.engine in model.engines
+    engines = [model.engine] if chosen else [model.engine, *model.engines]
+    curves = np.stack([model.curve_of(engine) for engine in engines])
+    pieces = np.einsum("tps,eovs->epovt", taylor, curves[..., 1:])
+    pieces[..., 0] += curves[:, None, ..., 0]
     fuel = _kind(layout.driver, corrected=layout.corrected)
     numbers = {
         "air": air_columns(names),
@@ -134,9 +135,6 @@ def _fitted(model: FittedSteadyState) -> Struct:
         "knots": len(model.knots),
         "knot": model.knots,
         "curve": pieces,
-        "engines": np.array(
-            [lines[model.engine]] if model.engine in lines else [none, *model.engine_lines]
-        ),
         "blends": len(layout.blend),
         "switches": len(layout.switches),
         "ratios": len(layout.exponents),

@@ -20,8 +20,8 @@ Turbines Power 121(4)): with `exponents`, each named ratio r of the air adds
 | c, d | `air_lines`: value at mid-range and slope per full range of z, likewise | |
 
 Non-negative b make every output monotone in the driver everywhere inside the envelope. Each engine
-adds a straight line over z, its build scatter; so does each switch (a bleed, another idle) that is
-on.
+adds a curve of the same splines, its build scatter, and each switch (a bleed, another idle) that is
+on a straight line over z.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import ModelError
 
 _WHAT = "steady-state model"
-_ARRAYS = ("low", "high", "seen", "knots", "curve", "engine_lines")
+_ARRAYS = ("low", "high", "seen", "knots", "curve", "engine_curves")
 _LATER = ("switch_lines", "air_lines", "air_seen")  # older folders lack some of them
 _NO_LINES: FloatArray = np.zeros((0, 0, 2))
 _NO_RANGE: FloatArray = np.zeros((0, 2))
@@ -142,11 +142,11 @@ class Layout:
 class FittedSteadyState:
     """Monotone spline curves in corrected parameters (see the module).
 
-    `curve` (n_out, corners, 1 + splines) contains a_v and b_vj; `engine_lines` (engines, n_out, 2)
-    value at mid-range and slope per full range of the driver, and so does `switch_lines`
-    (switches, n_out, 2) and `air_lines` (exponents, n_out, 2), the latter per unit of ln ratio,
-    whose range in the fit is `air_seen` (exponents, 2). `engine` selects the build scatter; an
-    unknown engine gets none.
+    `curve` (n_out, corners, 1 + splines) contains a_v and b_vj; `engine_curves` (engines, n_out,
+    1 + splines) what each engine adds to them; `switch_lines` (switches, n_out, 2) value at
+    mid-range and slope per full range of the driver, and so does `air_lines` (exponents, n_out, 2),
+    the latter per unit of ln ratio, whose range in the fit is `air_seen` (exponents, 2). `engine`
+    selects the build scatter; an unknown engine gets none.
     `envelope` and `seen` (2,), the range of z, bound the samples of the fit; the knots reach
     beyond them.
     """
@@ -159,7 +159,7 @@ class FittedSteadyState:
     knots: FloatArray
     curve: FloatArray
     engines: tuple[str, ...] = ()
-    engine_lines: FloatArray
+    engine_curves: FloatArray
     switch_lines: FloatArray = field(default_factory=_NO_LINES.copy)
     air_lines: FloatArray = field(default_factory=_NO_LINES.copy)
     air_seen: FloatArray = field(default_factory=_NO_RANGE.copy)
@@ -193,11 +193,8 @@ class FittedSteadyState:
         z = np.clip(self.layout.drive(given, air), self.knots[0], self.knots[-1])
         basis = np.concatenate([np.ones((*z.shape, 1)), self._splines(z)], axis=-1)
         weights = self.layout.corners(given, self.envelope)
-        corrected = np.einsum("...v,...j,ovj->...o", weights, basis, self.curve)
+        corrected = np.einsum("...v,...j,ovj->...o", weights, basis, self._own_curve)
         scaled = scaled_driver(z, self.knots)[..., None]
-        if self.engine in self.engines:
-            line = self.engine_lines[self.engines.index(self.engine)]
-            corrected = corrected + line[:, 0] + line[:, 1] * scaled
         for name, line in zip(self.layout.switches, self.switch_lines, strict=True):
             on = self.layout.column(given, name)[..., None]
             corrected = corrected + on * (line[:, 0] + line[:, 1] * scaled)
@@ -205,6 +202,16 @@ class FittedSteadyState:
         for share, line in zip(np.moveaxis(shares, -1, 0), self.air_lines, strict=True):
             corrected = corrected + share[..., None] * (line[:, 0] + line[:, 1] * scaled)
         return self.layout.from_corrected(given, corrected, air)
+
+    def curve_of(self, engine: str) -> FloatArray:
+        """Curves (n_out, corners, 1 + splines) of an engine; those of the mean if it is unknown."""
+        if engine not in self.engines:
+            return self.curve
+        return self.curve + self.engine_curves[self.engines.index(engine), :, None]
+
+    @cached_property
+    def _own_curve(self) -> FloatArray:
+        return self.curve_of(self.engine)
 
     @cached_property
     def _splines(self) -> PPoly:
@@ -264,7 +271,10 @@ class FittedSteadyState:
             "high": (self.envelope.high, (inputs,)),
             "seen": (self.seen, (2,)),
             "curve": (self.curve, (outputs, 2 ** len(layout.blend), len(self.knots) + 1)),
-            "engine_lines": (self.engine_lines, (len(self.engines), outputs, 2)),
+            "engine_curves": (
+                self.engine_curves,
+                (len(self.engines), outputs, self.curve.shape[-1]),
+            ),
             "switch_lines": (self.switch_lines, (len(layout.switches), outputs, 2)),
             "air_lines": (self.air_lines, (len(layout.exponents), outputs, 2)),
             "air_seen": (self.air_seen, (len(layout.exponents), 2)),

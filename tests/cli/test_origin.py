@@ -31,7 +31,7 @@ def test_lags_that_the_logs_chose_tell_what_each_form_left():
     left = {"plain": 0.0381, "limits": 0.02655}
     assert lag_words(RunRecord.parse({"lag_form": {"form": "limits", "left": left}})) == (
         "with limits of acceleration and deceleration; "
-        "chosen by the error on logs that were left out: plain 3.8 %, limits 2.7 %"
+        "loss of Ti and Tt on logs that were left out: plain 0.038, limits 0.027"
     )
 
 

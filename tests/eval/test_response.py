@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 from scipy.signal import lti, step
 
-from eval.response import HIGH, LOW, TransientConfig, low_and_high_crossing, measure_transient
 from narxcal.support.errors import DataError
+from training.response import HIGH, LOW, TransientConfig, low_and_high_crossing, measure_transient
 
 START_S = 2.0
 CONFIG = TransientConfig(least_response=5.0)

@@ -11,9 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from data_prep.events import Event
-from eval.response import Transient
-from eval.rules import RULES, compare_transients, rules, time_bands
-from eval.transients import (
+from narxcal.support.errors import ConfigError, DataError
+from narxcal.support.files import finite
+from training.response import Transient
+from training.rules import RULES, compare_transients, rules, time_bands
+from training.transients import (
     AssessedEvent,
     Overlay,
     Tally,
@@ -22,8 +24,6 @@ from eval.transients import (
     assessed,
     tally,
 )
-from narxcal.support.errors import ConfigError, DataError
-from narxcal.support.files import finite
 
 
 def transient(initial_s=0.5, total_s=2.0, response=20.0, dt_s=0.03125):

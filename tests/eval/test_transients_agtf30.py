@@ -10,7 +10,7 @@ import pytest
 from data_prep.events import EventsConfig, find_events
 from data_prep.reading import read_logs
 from data_prep.smooth import SmoothConfig, smooth
-from eval.transients import Overlay, TransientsConfig, assess_events, tally
+from training.transients import Overlay, TransientsConfig, assess_events, tally
 
 FLIGHT = Path(__file__).parents[2] / "../shared/data/agtf30/flight_1.csv.gz"
 CHANNELS = ("N1_pct", "N2_pct", "EGT_C")

@@ -45,7 +45,7 @@ def fitted(**changed):
         knots=knots,
         curve=np.concatenate([base, rise], axis=2),
         engines=("left", "right"),
-        engine_lines=rng.normal(size=(2, 3, 2)),
+        engine_curves=rng.normal(size=(2, 3, 1 + len(knots))),
         switch_lines=rng.normal(size=(len(layout.switches), 3, 2)),
         air_lines=rng.normal(size=(count, 3, 2)),
         air_seen=np.tile([-0.4, 0.1], (count, 1)),

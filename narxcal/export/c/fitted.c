@@ -10,8 +10,7 @@ typedef struct {
     const double *seen;        /* range of the driver in the fit */
     int knots;
     const double *knot;
-    const double *curve;       /* [piece][output][corner][3]: value, slope, curvature at its knot */
-    const double *engines;     /* [engine][output][2]: line over the driver */
+    const double *curve;       /* [engine][piece][output][corner][3]: value, slope, curvature */
     int blends, switches, ratios;
     const int *blend;          /* columns between whose extremes curves are blended */
     const int *switch_column;
@@ -53,14 +52,13 @@ static int fitted_outputs(const fitted *p, int engine, const double *in, double 
         if (in[i] < p->low[i] || in[i] > p->high[i]) inside = 0;
     if (z < p->seen[0] || z > p->seen[1]) inside = 0;
     z = clip(z, p->knot[0], p->knot[p->knots - 1]);
-    size_t piece = cell(p->knot, p->knots, z);
+    size_t piece = cell(p->knot, p->knots, z), row = engine * (p->knots - 1) + piece;
     double s = z - p->knot[piece];
     double x = (z - p->knot[0]) / (p->knot[p->knots - 1] - p->knot[0]) - 0.5;
     corner_weights(p, in, weights);
     for (size_t o = 0; o < NARXCAL_OUTPUTS; o++) {
-        const double *c = p->curve + 3 * FITTED_CORNERS * (piece * NARXCAL_OUTPUTS + o);
-        const double *line = p->engines + 2 * (engine * NARXCAL_OUTPUTS + o);
-        double y = line[0] + line[1] * x;
+        const double *line, *c = p->curve + 3 * FITTED_CORNERS * (row * NARXCAL_OUTPUTS + o);
+        double y = 0.0;
         for (int v = 0; v < FITTED_CORNERS; v++, c += 3)
             y += weights[v] * (c[0] + (c[1] + c[2] * s) * s);
         for (int k = 0; k < p->switches; k++) {

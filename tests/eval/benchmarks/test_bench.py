@@ -12,12 +12,12 @@ from data_prep.events import Event
 from eval import bench
 from eval.benchmarks import Row, public_sets, speed
 from eval.benchmarks import flights as picture
-from eval.rules import Verdict
-from eval.transients import AssessedEvent
 from narxcal.support.errors import DataError
 from training.config import load_config
 from training.ladder import Limits
+from training.rules import Verdict
 from training.search import Rates, counted
+from training.transients import AssessedEvent
 
 
 @pytest.fixture

@@ -18,8 +18,8 @@ from eval.report.view import LogView
 from eval.residuals import residual_tests
 from eval.run_logs import EvaluateConfig
 from eval.scores import ChannelScores
-from eval.transients import Overlay, TransientsConfig, assessed
 from eval.trim import Trim
+from training.transients import Overlay, TransientsConfig, assessed
 
 HOSTILE = '<script>alert("x")</script> & co.csv:left'
 DT_S = 0.1

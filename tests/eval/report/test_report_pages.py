@@ -33,8 +33,8 @@ from eval.report.page import (
 from eval.report.style import number
 from eval.report.view import LogView
 from eval.run_logs import EvaluateConfig
-from eval.transients import AssessedEvent
 from eval.trim import Trim
+from training.transients import AssessedEvent
 
 HOSTILE = '<script>alert("x")</script> & co.csv:left'
 

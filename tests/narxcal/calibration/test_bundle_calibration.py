@@ -61,7 +61,7 @@ def fitted(_):
         knots=np.linspace(0.0, 78.0, 4),
         curve=np.random.default_rng(0).uniform(1, 20, (2, 1, 5)),
         seen=np.array([0.0, 78.0]),
-        engine_lines=np.zeros((0, 2, 2)),
+        engine_curves=np.zeros((0, 2, 5)),
     )
 
 

@@ -38,7 +38,7 @@ def two_engines():
         knots=np.linspace(0.0, 78.0, 4),
         curve=np.random.default_rng(0).uniform(1.0, 20.0, (2, 1, 5)),
         engines=("left", "right"),
-        engine_lines=np.array([[[1.0, 0.0], [2.0, 0.0]], [[-1.0, 0.0], [-2.0, 0.0]]]),
+        engine_curves=np.eye(5)[0] * [[[1.0], [2.0]], [[-1.0], [-2.0]]],
     )
 
 

@@ -40,7 +40,7 @@ def model(seed=0, **changed):
         knots=KNOTS,
         curve=curve,
         engines=("left", "right"),
-        engine_lines=np.stack([np.full((len(OUTPUTS), 2), 1.0), np.full((len(OUTPUTS), 2), -1.0)]),
+        engine_curves=np.stack([np.ones((len(OUTPUTS), 1 + len(KNOTS)))] * 2) * [[[1.0]], [[-1.0]]],
     )
 
 

@@ -12,7 +12,6 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from eval.outcome import plural
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
 from narxcal.support.settings import Section
@@ -128,7 +127,8 @@ def _unreadable(y: FloatArray, start: FloatArray, end: FloatArray) -> str | None
         return f"{missing} of {len(y)} samples are missing"
     for part, place in ((start, "up to the move"), (end, "at the end")):
         if len(part) < FEWEST_SETTLED:
-            return f"only {plural(len(part), 'sample')} {place}, {FEWEST_SETTLED} are needed"
+            count = "1 sample" if len(part) == 1 else f"{len(part)} samples"
+            return f"only {count} {place}, {FEWEST_SETTLED} are needed"
     return None
 
 

@@ -1,4 +1,13 @@
-"""Ti and Tt of every event of a log: what is assessed, what passes, why not, and how many."""
+"""Ti and Tt of every event of a log: what is assessed, what passes, why not, and how many.
+
+Models of a speed are chosen by the loss of their free runs over held-out logs. With r an error of
+Ti or Tt over its tolerance, the loss of a transient is the mean of both
+
+    r^2 / (1 + r^2)
+
+which is 1/2 at the edge of the tolerance and bounded, so that one wild transient does not decide
+(Geman and McClure 1987). A model whose response cannot be read has loss 1.
+"""
 
 from __future__ import annotations
 
@@ -11,9 +20,14 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field, field_validator
 
-from data_prep.events import Event, Speed
-from eval.response import Reading, Transient, TransientConfig, measure_transient
-from eval.rules import (
+from data_prep.events import Event, Speed, find_events
+from data_prep.log import Log
+from narxcal.channels import described
+from narxcal.support.arrays import BoolArray, FloatArray, IntArray
+from narxcal.support.errors import ConfigError, DataError
+from training.config import RunConfig
+from training.response import Reading, Transient, TransientConfig, measure_transient
+from training.rules import (
     FORMER,
     DataSource,
     Rules,
@@ -23,9 +37,6 @@ from eval.rules import (
     compare_transients,
     rules,
 )
-from narxcal.channels import described
-from narxcal.support.arrays import BoolArray, FloatArray
-from narxcal.support.errors import ConfigError, DataError
 
 # A measured figure in a reason; reasons that differ in nothing else are counted together.
 _FIGURE = re.compile(r"-?\d+(\.\d+)?(e[+-]?\d+)?")
@@ -233,6 +244,34 @@ def _time_row(check: TimeCheck | None, flight_s: float, ok: bool | None) -> dict
         "allowed": check.allowed_s,
         "ok": check.ok,
     }
+
+
+def response_losses(
+    log: Log, model: FloatArray, names: Sequence[str], config: RunConfig
+) -> tuple[IntArray, FloatArray]:
+    """Rows (transients,) where the lever moves, and losses (transients, outputs) of a free run.
+
+    `model` (time, outputs) has the outputs `names`. NaN where the rules of [evaluate] judge none.
+    """
+    settings = TransientsConfig.parse(config.evaluate.get("transients", {}))
+    events = find_events(log, config.events.for_log(log, names))
+    overlay = Overlay(log.time_s, log.matrix(names), model, tuple(names))
+    losses = np.full((len(events), len(names)), np.nan)
+    for row, one in zip(losses, assessed(events, overlay, settings), strict=True):
+        for each in one.assessments:
+            if each.verdict.ok is not None:
+                row[names.index(each.channel)] = _loss(each.verdict)
+    return np.array([event.start for event in events], dtype=np.int64), losses
+
+
+def _loss(verdict: Verdict) -> float:
+    if verdict.Ti is None or verdict.Tt is None:
+        return 1.0
+    found = 0.0
+    for check in (verdict.Ti, verdict.Tt):
+        square = (check.error_s / max(check.allowed_s, 1e-9)) ** 2
+        found += 0.5 * square / (1.0 + square)
+    return found
 
 
 @dataclass(frozen=True)

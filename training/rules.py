@@ -12,8 +12,8 @@ import math
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from eval.response import Transient
 from narxcal.support.errors import ConfigError
+from training.response import Transient
 
 RulesName = Literal["paper", "part60", "part60-2016", "cs-fstd", "icao9625"]
 FORMER = {"icao": "icao9625"}  # names in configurations of runs that were stored earlier
