@@ -20,13 +20,26 @@ from eval.free_run import ARX, FIRST_ORDER, MODEL, STEADY_STATE, FreeRun, run_lo
 from eval.report.style import number
 from eval.run_logs import run_config
 from eval.scores import max_relative_percent, nrmse, rmse
-from eval.significance import LEVEL, Difference, differences
+from eval.significance import (
+    LEVEL,
+    Difference,
+    PassDifference,
+    differences,
+    pass_differences,
+)
 from narxcal.calibration.bundle import Bundle
 from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import DataError
 from narxcal.support.files import finite, versions
 from training.baselines import Baselines
-from training.transients import Assessment, Overlay, Tally, TransientsConfig, assess_events, tally
+from training.transients import (
+    Assessment,
+    Overlay,
+    Tally,
+    TransientsConfig,
+    assess_events,
+    tally,
+)
 
 SCHEMA = "narxcal.compare/1"
 _NAMES = {STEADY_STATE: "steady state", FIRST_ORDER: "first-order lag", ARX: "ARX"}
@@ -77,6 +90,7 @@ class Comparison:
     recordings: tuple[Recording, ...]
     differences: tuple[Difference, ...]
     remarks: tuple[str, ...] = ()
+    passes: tuple[PassDifference, ...] = ()
 
     @property
     def significant(self) -> tuple[Difference, ...]:
@@ -89,8 +103,8 @@ class Comparison:
         return self.recordings[0].channels
 
     def summary(self) -> list[str]:
-        """Per channel the least RMSE, what is significantly more, and what may be equal."""
-        lines = []
+        """Passes of Ti and Tt, then per channel the least RMSE; what differs significantly."""
+        lines = [text] if (text := self._passes()) else []
         for name in self.channels:
             known = {
                 row.run: row.channels[name]["rmse"] for row in self.rows if name in row.channels
@@ -113,6 +127,21 @@ class Comparison:
             lines.append(text)
         return lines
 
+    def _passes(self) -> str:
+        """Which model passes most transients, and which significantly fewer."""
+        judged = {row.run: row.ti_tt for row in self.rows if row.ti_tt and row.ti_tt.assessed}
+        if len(judged) < 2:
+            return ""
+        most = max(judged, key=lambda run: judged[run].passed)
+        fewer = {each.worse for each in self.passes if each.significant and each.better == most}
+        close = [run for run in judged if run not in {most, *fewer}]
+        text = f"Ti and Tt: most {most} ({judged[most].passed} of {judged[most].assessed} passed)"
+        if fewer:
+            text += f"; significantly fewer: {', '.join(run for run in judged if run in fewer)}"
+        if close:
+            text += f"; not significantly different: {', '.join(close)}"
+        return text
+
     def document(self) -> dict[str, Any]:
         """`compare.json`; None where a figure does not exist."""
         found: dict[str, Any] = finite({
@@ -120,6 +149,7 @@ class Comparison:
             "rows": [row.document() for row in self.rows],
             "significant": [asdict(one) for one in self.significant],
             "undecided": [asdict(one) for one in self.differences if not one.significant],
+            "passes": [asdict(one) for one in self.passes],
             "family_wise": LEVEL,
             "summary": self.summary(),
             "remarks": list(self.remarks),
@@ -224,8 +254,13 @@ def compare_runs(runs: Sequence[Run]) -> Comparison:
     if lead.bundle.record.baselines is not None:
         rows += _baseline_rows(Baselines.from_json(lead.bundle.record.baselines))
     settings = run_config(lead.bundle)[1].transients
-    rows = [replace(row, ti_tt=_ti_tt(row.run, recordings, settings)) for row in rows]
-    return compare(recordings, rows, _remarks(runs, lead, names))
+    judged = {row.run: [_assessed(row.run, one, settings) for one in recordings] for row in rows}
+    tallies = {run: [each for log in logs for each in log] for run, logs in judged.items()}
+    rows = [
+        replace(row, ti_tt=tally(found) if (found := tallies[row.run]) else None) for row in rows
+    ]
+    passes = pass_differences(_passed(judged, recordings))
+    return replace(compare(recordings, rows, _remarks(runs, lead, names)), passes=tuple(passes))
 
 
 def _free_run(run: Run, name: str) -> FreeRun:
@@ -269,20 +304,34 @@ def _by_channel(run: FreeRun, name: str, channels: Sequence[str]) -> FloatArray:
     return np.column_stack([values.get(channel, blank) for channel in channels])
 
 
-def _ti_tt(
-    model: str,
-    recordings: Sequence[Recording],
-    settings: TransientsConfig,
-) -> Tally | None:
-    """Ti/Tt of a model over all events, in the channels that it has; None without any."""
-    found: list[Assessment] = []
-    for one in recordings:
-        outputs = one.outputs[model]
-        at = [k for k in range(len(one.channels)) if np.isfinite(outputs[:, k]).any()]
-        channels = tuple(one.channels[k] for k in at)
-        overlay = Overlay(one.time_s, one.measured[:, at], outputs[:, at], channels, one.scored)
-        found += assess_events(one.events, overlay, settings)
-    return tally(found) if found else None
+def _assessed(model: str, one: Recording, settings: TransientsConfig) -> list[Assessment]:
+    """Ti/Tt of a model over all events of a recording, in the channels that it has."""
+    outputs = one.outputs[model]
+    at = [k for k in range(len(one.channels)) if np.isfinite(outputs[:, k]).any()]
+    channels = tuple(one.channels[k] for k in at)
+    overlay = Overlay(one.time_s, one.measured[:, at], outputs[:, at], channels, one.scored)
+    return assess_events(one.events, overlay, settings)
+
+
+def _passed(
+    judged: Mapping[str, Sequence[Sequence[Assessment]]], recordings: Sequence[Recording]
+) -> dict[str, list[FloatArray]]:
+    """By model and flight 1 or 0 of every transient of any model; NaN where it is not judged."""
+    flights: dict[str, dict[tuple[str, float, str], int]] = {}
+    known: dict[str, dict[tuple[str, float, str], float]] = {}
+    for run, logs in judged.items():
+        known[run] = {}
+        for recording, found in zip(recordings, logs, strict=True):
+            keys = flights.setdefault(recording.flight or recording.name, {})
+            for each in found:
+                if each.verdict.ok is not None:
+                    key = recording.name, each.start_s, each.channel
+                    keys.setdefault(key, len(keys))
+                    known[run][key] = float(each.verdict.ok)
+    return {
+        run: [np.array([own.get(key, np.nan) for key in keys]) for keys in flights.values()]
+        for run, own in known.items()
+    }
 
 
 def _row(run: Run, found: Sequence[FreeRun]) -> Row:

@@ -256,7 +256,9 @@ def _has_inputs(part: Segment, names: Sequence[str]) -> bool:
 
 
 def _figures(judged: Sequence[LogEvaluation]) -> dict[str, float | None]:
-    found: dict[str, float | None] = {}
+    counts = tally([each for one in judged for each in one.assessments])
+    names = "passed_pct", "assessed", "passed", "mean_relative_Ti_pct", "mean_relative_Tt_pct"
+    found: dict[str, float | None] = {name: getattr(counts, name) for name in names}
     for name, figures in score([one.run for one in judged]).items():
         single = [one.scores[name].rmse for one in judged]
         worst = max((value for value in single if math.isfinite(value)), default=math.nan)
@@ -264,10 +266,5 @@ def _figures(judged: Sequence[LogEvaluation]) -> dict[str, float | None]:
         found[f"worst_rmse.{name}"] = worst
         found[f"max_rel_pct.{name}"] = figures.max_rel_pct
         found[f"max_error.{name}"] = figures.max_error
-    counts = tally([each for one in judged for each in one.assessments])
-    for name in (
-        "mean_relative_Ti_pct", "mean_relative_Tt_pct", "passed_pct", "assessed", "passed",
-    ):  # fmt: skip
-        found[name] = getattr(counts, name)
     values: dict[str, float | None] = finite(found)
     return values

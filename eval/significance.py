@@ -22,20 +22,26 @@ all pairs and channels makes 5 % the probability of any false claim. A claim als
 RMSE over all rows.
 Of one flight a claim is about that flight.
 
+**Passes of Ti and Tt** are paired by transient. The mean difference over its standard error by
+flights (`training.folds.clustered`) is compared with Student's t; of a single flight, those that one
+model alone passes with a fair coin (McNemar's exact test). p is of the whole table, by Holm.
+
 `python -m eval.benchmarks.comparisons` measures false claims and power.
 """  # noqa: E501 -- a table
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+from scipy.stats import binomtest
 from scipy.stats import t as student
 
 from narxcal.support.arrays import FloatArray
+from training.folds import clustered
 
 if TYPE_CHECKING:
     from eval.compare import Recording
@@ -71,6 +77,45 @@ class Difference:
     def significant(self) -> bool:
         """Whether the claim is one of a table with 5 % false claims."""
         return self.p <= LEVEL
+
+
+@dataclass(frozen=True)
+class PassDifference:
+    """How many transients more one model passes of those that both are judged on."""
+
+    better: str
+    worse: str
+    more: int
+    p: float
+
+    @property
+    def significant(self) -> bool:
+        """Whether the claim is one of a table with 5 % false claims."""
+        return self.p <= LEVEL
+
+
+def pass_differences(passed: Mapping[str, Sequence[FloatArray]]) -> list[PassDifference]:
+    """Compare all pairs of models; `passed` has 1, 0 or NaN by transient, one array a flight."""
+    pairs, alone = list(combinations(passed, 2)), []
+    means = []
+    for first, second in pairs:
+        values = [a - b for a, b in zip(passed[first], passed[second], strict=True)]
+        known = np.concatenate([each[np.isfinite(each)] for each in values])
+        means.append(round(float(known.sum())))
+        mean, error, flights = clustered(values)
+        if not means[-1]:
+            alone.append(1.0)
+        elif flights > 1:
+            size = abs(mean) / error if error > 0.0 else np.inf
+            alone.append(float(2.0 * student.sf(size, flights - 1)))
+        else:
+            odd = int(np.count_nonzero(known))
+            alone.append(float(binomtest(int((known > 0.0).sum()), odd).pvalue))
+    found = []
+    for (first, second), more, p in zip(pairs, means, _holm(np.array(alone)).tolist(), strict=True):
+        better, worse = (first, second) if more >= 0 else (second, first)
+        found.append(PassDifference(better, worse, abs(more), p))
+    return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -138,12 +138,12 @@ def print_crossval(console: Console, found: CrossValidation) -> None:
 def print_comparison(console: Console, found: Comparison) -> None:
     """Print one row per model, the least RMSE of each channel in bold."""
     table = Table(
-        title=Text("RMSE of the free run on the same rows", style="bold"),
+        title=Text("Ti and Tt passed, and RMSE of the free run on the same rows", style="bold"),
         title_justify="left", box=None, pad_edge=False, padding=(0, 1, 0, 0),
     )  # fmt: skip
     table.add_column("run", overflow="fold", max_width=18)
-    heads = ("Ti, Tt", "size", "fit [s]", "us", "in 90 %")
-    for head in (*map(with_unit, found.channels), *heads):
+    heads = ("size", "fit [s]", "us", "in 90 %")
+    for head in ("Ti, Tt", *map(with_unit, found.channels), *heads):
         table.add_column(head, justify="right", no_wrap=True)
     least = {
         name: min(row.channels[name]["rmse"] for row in found.rows if name in row.channels)
@@ -155,8 +155,8 @@ def print_comparison(console: Console, found: Comparison) -> None:
         coverage = None if row.coverage_90 is None else 100.0 * row.coverage_90
         table.add_row(
             Text(row.run),
-            *(_figure(value, best) for value, best in zip(errors, least.values(), strict=True)),
             Text(passed or number(None)),
+            *(_figure(value, best) for value, best in zip(errors, least.values(), strict=True)),
             Text(number(None) if row.parameters is None else str(row.parameters)),
             *(Text(number(value, 2)) for value in (row.fit_s, row.simulate_us, coverage)),
         )

@@ -205,18 +205,28 @@ def surely_below(ratios: FloatArray, margin: float = 0.0) -> BoolArray:
 def clearly_less(differences: Sequence[FloatArray]) -> bool:
     """Whether the mean of paired `differences`, one array a piece, is clearly below zero.
 
-    The standard error of the mean over all takes pieces as units, for transients of one flight have
-    errors in common (cluster-robust variance; Liang and Zeger 1986); as in `surely_below`.
+    By more than its standard error, as in `surely_below`; never by one piece alone.
     """
-    known = [each[np.isfinite(each)] for each in differences]
+    mean, error, pieces = clustered(differences)
+    return pieces > 1 and mean < -float(stdtrit(pieces - 1, ndtr(1.0)) * error)
+
+
+def clustered(values: Sequence[FloatArray]) -> tuple[float, float, int]:
+    """Mean of all known `values`, one array a piece, its standard error, the number of pieces.
+
+    The pieces are the units, for transients of one flight have errors in common (cluster-robust
+    variance: Liang and Zeger 1986, Biometrika 73(1)). NaN and infinite without any.
+    """
+    known = [each[np.isfinite(each)] for each in values]
     known = [each for each in known if len(each)]
     pieces, total = len(known), sum(len(each) for each in known)
-    if pieces < 2:
-        return False
+    if not pieces:
+        return np.nan, np.inf, 0
     mean = sum(float(each.sum()) for each in known) / total
-    sums = np.array([float(np.sum(each - mean)) for each in known])
-    error = np.sqrt(pieces / (pieces - 1) * np.sum(sums**2)) / total
-    return mean < -float(stdtrit(pieces - 1, ndtr(1.0)) * error)
+    if pieces < 2:
+        return mean, np.inf, 1
+    square = sum(float(np.sum(each - mean)) ** 2 for each in known)
+    return mean, float(np.sqrt(pieces / (pieces - 1) * square)) / total, pieces
 
 
 # ---- cross-validation

@@ -57,7 +57,7 @@ from training.config import NarxSection, RunConfig
 from training.folds import clearly_less, geometric_rms, surely_below
 from training.lag_priors import Form, Priors, start_engine
 from training.records import LagSamples, lag_samples
-from training.transients import response_losses
+from training.transients import responses
 
 _GRID_S: Final = 0.1  # the limited form is exact between samples: no finer grid is needed
 _EVERY_S: Final = 0.2  # one sample in this time is scored
@@ -515,8 +515,8 @@ class Trial:
             deviation = one.ss - one.measured
             drive = engine.drive(one.inputs, self.steady.input_names, one.ss)
             run = engine.deviations(drive, deviation[0], log.dt_s)
-            at, found = response_losses(log, one.ss - run, names, self.config)
-            losses.append(found[out[at]])
+            found = responses(log, one.ss - run, names, self.config)
+            losses.append(found.losses[out[found.rows]])
             rows = out & moving(one.ss[:, core], self._range[core], log.dt_s)
             errors.append((run - deviation)[rows] / self._range)
         error = np.concatenate(errors)

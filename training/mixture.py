@@ -43,9 +43,9 @@ from narxcal.support.errors import DataError
 from narxcal.support.progress import Progress, silent
 from training.baselines import Baselines, run_of
 from training.config import RunConfig
-from training.folds import LogFold, clearly_less, log_folds, surely_below
+from training.folds import LogFold, clearly_less, clustered, log_folds, surely_below
 from training.levels import lag_of, level_of
-from training.transients import response_losses
+from training.transients import Responses, responses
 
 NETWORK: Final = "network"
 LAGS: Final = "lags"
@@ -86,8 +86,8 @@ class HeldOut(NamedTuple):
     """Free runs (models, time, outputs) over a held-out log, in the order of `MODELS`.
 
     `steady` and `measured` are (time, outputs), `inside` (time,) tells where the inputs lie within
-    the envelope of what was fitted; `piece` is what the log counts for; `losses` (models,
-    transients, outputs) are those of response times. A model that the calibration lacks is NaN.
+    the envelope of what was fitted; `piece` is what the log counts for; `responses` are those of
+    each model. A model that the calibration lacks is NaN.
     """
 
     log: str
@@ -98,7 +98,7 @@ class HeldOut(NamedTuple):
     measured: FloatArray
     inside: BoolArray
     dt_s: float
-    losses: FloatArray
+    responses: tuple[Responses, ...]
 
     def mixed(self, weights: FloatArray) -> FloatArray:
         """Free run (time, outputs) of the mixture with `weights` (models, outputs)."""
@@ -170,6 +170,8 @@ class Mixture:
                 mean = float(known_mean(mixed**2))
                 known["mixture"] = float(np.sqrt(mean)) if np.isfinite(mean) else None
                 found[name]["held_out_rmse"] = known
+                if spools_of([name]):
+                    found[name]["held_out_responses"] = self._responses(k)
             whole = [(one.mixed(self.weights), one) for one in self.held if one.whole]
             if whole:
                 levels = [level_of(y[:, k : k + 1], one.measured[:, k : k + 1]) for y, one in whole]
@@ -182,6 +184,27 @@ class Mixture:
             "channels": found,
             "suspects": list(self.suspects),
         }
+
+    def _responses(self, k: int) -> dict[str, dict[str, float | None]]:
+        """By model of a speed: transients passed and judged, mean loss and its standard error."""
+        found = {}
+        for number, model in enumerate(MODELS):
+            pieces: dict[str, list[FloatArray]] = {}
+            for one in self.held:
+                each = one.responses[number]
+                pieces.setdefault(one.piece, []).append(
+                    np.stack([each.losses[:, k], each.passed[:, k]])
+                )
+            both = [np.concatenate(each, axis=1) for each in pieces.values()]
+            mean, error, _ = clustered([each[0] for each in both])
+            passed = np.concatenate([each[1] for each in both])
+            found[model] = {
+                "passed": int(np.nansum(passed)),
+                "judged": int(np.isfinite(passed).sum()),
+                "loss": mean if np.isfinite(mean) else None,
+                "loss_error": error if np.isfinite(error) else None,
+            }
+        return found
 
     @property
     def suspects(self) -> tuple[str, ...]:
@@ -284,11 +307,11 @@ def held_out(
         lags,
         *(baselines.simulate(kind, run.steady, start, own.dt_s) for kind in SIMPLE),
     )
-    losses = [response_losses(log, each, own.output_names, config)[1] for each in models]
+    judged = [responses(log, each, own.output_names, config) for each in models]
     return HeldOut(
         log.name, fold.piece(log), fold.whole,
         np.stack(models), run.steady, run.measured, own.steady.inside(inputs), own.dt_s,
-        np.stack(losses),
+        tuple(judged),
     )  # fmt: skip
 
 
@@ -300,7 +323,8 @@ def leader_of(held: Sequence[HeldOut], k: int, fitted: BoolArray) -> int:
             continue
         pieces: dict[str, list[FloatArray]] = {}
         for one in held:
-            difference = one.losses[other, :, k] - one.losses[best, :, k]
+            theirs, ours = one.responses[other].losses, one.responses[best].losses
+            difference = theirs[:, k] - ours[:, k]
             pieces.setdefault(one.piece, []).append(difference)
         differences = [np.concatenate(each) for each in pieces.values()]
         tied = not clearly_less([-each for each in differences])

@@ -61,6 +61,9 @@ from training.steady_fit import SteadyQuality, SteadySamples, fit_steady_state, 
 
 _BETTER = 0.9  # of the residual of the usual answer
 _SWITCH = float(-np.log(0.97))  # of ln residual
+# Share of the driver's range with settled samples. Curves go on straight beyond them for as much
+# again ([steady_state.fit] reach), so that of less than half not even that reaches the rest.
+_LEAST_SETTLED = 0.5
 _ROWS = 2000  # of a log; enough to choose by
 _FOLDS = 5
 _BLENDED = ("Mach", "ALT_ft")  # the usual one first
@@ -96,7 +99,20 @@ def steady_state(
         names = (section.inputs, config.narx.outputs)
         return open_steady(section.kind, section.source, names, base, section.options), None
     layout = chosen_layout(config, logs)
-    return fit_steady_state([_samples(config, layout, log) for log in logs], layout, section.fit)
+    samples = [_samples(config, layout, log) for log in logs]
+    moving = [_moving(layout, log) for log in logs]
+    settled, every = (
+        layout.drive(np.concatenate([one.inputs for one in each])) for each in (samples, moving)
+    )
+    share = _width(settled) / max(_width(every), 1e-12)
+    few = share < _LEAST_SETTLED
+    model, quality = fit_steady_state(moving if few else samples, layout, section.fit)
+    return model, replace(quality, coverage=min(share, 1.0))
+
+
+def _width(drive: FloatArray) -> float:
+    """Range of a driver without its outermost hundredths, 0 without samples."""
+    return float(np.diff(np.quantile(drive, (0.01, 0.99)))[0]) if len(drive) else 0.0
 
 
 def contradicting(config: RunConfig, logs: Sequence[Log]) -> list[Outlier]:
@@ -281,6 +297,13 @@ def _samples(config: RunConfig, layout: Layout, log: Log) -> SteadySamples:
     )
 
 
+def _moving(layout: Layout, log: Log) -> SteadySamples:
+    """All samples of a log whose inputs are known, in motion."""
+    log = hold_inputs(log, layout.input_names)
+    inputs, outputs = log.matrix(layout.input_names), log.matrix(layout.output_names)
+    return SteadySamples(inputs, outputs, log.source.engine, _log_of(log), log.dt_s)
+
+
 def _thinned(samples: SteadySamples) -> SteadySamples:
     step = max(len(samples.inputs) // _ROWS, 1)
     return replace(samples, inputs=samples.inputs[::step], outputs=samples.outputs[::step])
@@ -348,9 +371,11 @@ def outliers(
     if len(names) < LEAST_LOGS:
         return []
     design, data = linear_problem(samples, layout, config)
-    penalty = design.penalty(data.matrix.shape[1])
+    penalty = design.penalty(data.matrices[0].shape[1])
     logs = [data.logs == name for name in names]
-    fits = [_Fits.of(data.matrix, column, logs, penalty.T @ penalty) for column in data.corrected.T]
+    square = penalty.T @ penalty
+    pairs = zip(data.matrices, data.corrected.T, strict=True)
+    fits = [_Fits.of(matrix, column, logs, square) for matrix, column in pairs]
     levels = np.nanmedian(np.abs(data.outputs), axis=0)
     # Channel units per unit of a corrected parameter.
     unit = np.nanmedian(data.layout_unit(layout), axis=0)

@@ -2,7 +2,8 @@
 
 A penalised least-squares problem with signs (Eilers and Marx 1996, P-splines; Huber 1964 for
 the robust weights): unrecorded bleed or a wrong sensor for some minutes must not bend the
-curve of the rest of the flight.
+curve of the rest of the flight. Samples in motion are fitted behind a first-order lag, whose time
+constant is found with the curve (output error).
 
 **Exponents.** Similarity is the prior mean of the exponents of theta and delta. With the relative
 spread e of what engines differ from it (`SPREADS`), the level Y of a corrected output, the RMS s of
@@ -34,7 +35,8 @@ from typing import Final
 import numpy as np
 from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
-from scipy.optimize import lsq_linear
+from scipy.optimize import lsq_linear, minimize_scalar
+from scipy.signal import lfilter
 
 from narxcal.channels import CHANNELS
 from narxcal.steady.fitted import (
@@ -46,8 +48,9 @@ from narxcal.steady.fitted import (
     scaled_driver,
 )
 from narxcal.steady.model import Envelope
-from narxcal.support.arrays import FloatArray
+from narxcal.support.arrays import FloatArray, IntArray
 from narxcal.support.errors import ConfigError, DataError
+from training.baselines import LONGEST_S, SHORTEST_S
 from training.config import SteadyFitConfig
 from training.levels import PRIOR_LOGS, prior_share
 
@@ -69,21 +72,25 @@ _UNRELATED: Final = 0.05  # autocorrelation below which samples count as indepen
 
 @dataclass(frozen=True, eq=False)
 class SteadySamples:
-    """Quasi-steady samples: inputs (n, n_in), outputs (n, n_out), their engine and log."""
+    """Samples of one log: inputs (n, n_in), outputs (n, n_out), their engine and log.
+
+    They are quasi-steady or, with the interval `moving_s` between them, a whole log in motion.
+    """
 
     inputs: FloatArray
     outputs: FloatArray
     engine: str = ""
     log: str = ""
+    moving_s: float | None = None
 
 
 @dataclass(frozen=True)
 class SteadyQuality:
-    """What a fit rests on: samples, residual RMS per output, share of driver range covered."""
+    """What a fit rests on: samples, residual RMS per output, share of driver range settled."""
 
     samples: int
     rms: dict[str, float]
-    coverage: float
+    coverage: float = 1.0
 
 
 def fit_steady_state(
@@ -99,24 +106,29 @@ def fit_steady_state(
     """
     design, data = linear_problem(samples, layout, config)
     strengths = _strengths(design, data, spreads)
-    parts = zip(layout.output_names, data.corrected.T, strengths, strict=True)
-    curves = [
-        _curve(replace(design, strengths=own), data.matrix, column, name)
-        for name, column, own in parts
-    ]
-    model = design.model(np.stack(curves))
-    return model, _quality(model, (data.inputs, data.outputs, data.engines))
+    parts = zip(layout.output_names, data.matrices, data.corrected.T, strengths, strict=True)
+    curves = np.stack(
+        [
+            _curve(replace(design, strengths=own), matrix, column, name)
+            for name, matrix, column, own in parts
+        ]
+    )
+    fitted = [matrix @ each for matrix, each in zip(data.matrices, curves, strict=True)]
+    error = (np.stack(fitted, axis=1) - data.corrected) * data.layout_unit(layout)
+    rms = dict(
+        zip(layout.output_names, np.sqrt(np.nanmean(error**2, axis=0)).tolist(), strict=True)
+    )
+    return design.model(curves), SteadyQuality(len(data.inputs), rms)
 
 
 @dataclass(frozen=True, eq=False)
 class LinearData:
-    """Samples of all logs, one row each; `matrix` is what a design's coefficients multiply."""
+    """Samples of all logs, one row each; `matrices` of outputs are what coefficients multiply."""
 
     inputs: FloatArray
     outputs: FloatArray
     corrected: FloatArray
-    matrix: FloatArray
-    engines: NDArray[np.str_]
+    matrices: tuple[FloatArray, ...]
     logs: NDArray[np.str_]
 
     def layout_unit(self, layout: Layout) -> FloatArray:
@@ -145,7 +157,39 @@ def linear_problem(
     design = _Design(layout, envelope, seen, knots, engines, config, air_seen)
     corrected = layout.to_corrected(inputs, outputs)
     matrix = design.matrix(inputs, names)
-    return design, LinearData(inputs, outputs, corrected, matrix, names, logs)
+    matrices = (matrix,) * len(layout.output_names)
+    if samples[0].moving_s is not None:
+        dt_s = samples[0].moving_s * (rows.step or 1)
+        firsts = np.flatnonzero(np.concatenate([[True], logs[1:] != logs[:-1]]))
+        matrices = tuple(_lagged(design, matrix, y, firsts, dt_s) for y in corrected.T)
+    return design, LinearData(inputs, outputs, corrected, matrices, logs)
+
+
+def _lagged(
+    design: _Design, matrix: FloatArray, target: FloatArray, firsts: IntArray, dt_s: float
+) -> FloatArray:
+    """The matrix behind the first-order lag that leaves the least error; logs begin settled.
+
+    The lag of a curve is the curve of lagged columns, so that every time constant asks for one
+    linear fit.
+    """
+
+    def behind(log_tau: float) -> FloatArray:
+        stays = np.exp(-dt_s / np.exp(log_tau))
+        parts = np.split(matrix, firsts[1:])
+        return np.concatenate(
+            [lfilter([1.0 - stays], [1.0, -stays], x, axis=0, zi=stays * x[:1])[0] for x in parts]
+        )
+
+    def left(log_tau: float) -> float:
+        lagged = behind(log_tau)
+        found = design.solve(lagged, target, monotone=True)
+        return float(np.nansum((lagged @ found - target) ** 2))
+
+    ends = float(np.log(SHORTEST_S)), float(np.log(LONGEST_S))
+    return behind(
+        float(minimize_scalar(left, bounds=ends, method="bounded", options={"xatol": 0.05}).x)
+    )
 
 
 def _require(inputs: FloatArray, outputs: FloatArray, layout: Layout) -> None:
@@ -232,8 +276,9 @@ def _strengths(
     if not design.engines and not design.layout.exponents:
         return usual
     names = design.layout.output_names
-    first = np.stack([design.solve(data.matrix, y, monotone=True) for y in data.corrected.T])
-    errors = data.corrected - data.matrix @ first.T
+    pairs = list(zip(data.matrices, data.corrected.T, strict=True))
+    first = np.stack([design.solve(matrix, y, monotone=True) for matrix, y in pairs])
+    errors = np.stack([y - x @ each for (x, y), each in zip(pairs, first, strict=True)], axis=1)
     known = [each[np.isfinite(each)] for each in errors.T]
     variance = np.array([np.mean(each**2) / _independent(each) for each in known])
     level = np.maximum(np.nanmedian(np.abs(data.corrected), axis=0), 1e-9)
@@ -417,21 +462,3 @@ def _row(size: int, entries: dict[int, float], strength: float) -> FloatArray:
     for column, value in entries.items():
         row[column] = value * np.sqrt(strength)
     return row
-
-
-def _quality(
-    model: FittedSteadyState,
-    data: tuple[FloatArray, FloatArray, NDArray[np.str_]],
-) -> SteadyQuality:
-    inputs, outputs, names = data
-    error = np.empty_like(outputs)
-    for engine in np.unique(names):
-        rows = names == engine
-        error[rows] = model.for_engine(str(engine)).outputs(inputs[rows]) - outputs[rows]
-    rms = np.sqrt(np.nanmean(error**2, axis=0))
-    bins, _ = np.histogram(model.layout.drive(inputs), 20, (model.seen[0], model.seen[1]))
-    return SteadyQuality(
-        samples=len(inputs),
-        rms={name: float(value) for name, value in zip(model.output_names, rms, strict=True)},
-        coverage=float((bins > 0).mean()),
-    )

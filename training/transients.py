@@ -15,7 +15,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field, field_validator
@@ -246,22 +246,29 @@ def _time_row(check: TimeCheck | None, flight_s: float, ok: bool | None) -> dict
     }
 
 
-def response_losses(
-    log: Log, model: FloatArray, names: Sequence[str], config: RunConfig
-) -> tuple[IntArray, FloatArray]:
-    """Rows (transients,) where the lever moves, and losses (transients, outputs) of a free run.
+class Responses(NamedTuple):
+    """Rows (transients,) where the lever moves; of each and output the loss, and 1 for a pass.
 
-    `model` (time, outputs) has the outputs `names`. NaN where the rules of [evaluate] judge none.
+    NaN where the rules of [evaluate] judge none.
     """
+
+    rows: IntArray
+    losses: FloatArray
+    passed: FloatArray
+
+
+def responses(log: Log, model: FloatArray, names: Sequence[str], config: RunConfig) -> Responses:
+    """Judge the transients of a free run (time, outputs) of the outputs `names`."""
     settings = TransientsConfig.parse(config.evaluate.get("transients", {}))
     events = find_events(log, config.events.for_log(log, names))
     overlay = Overlay(log.time_s, log.matrix(names), model, tuple(names))
-    losses = np.full((len(events), len(names)), np.nan)
-    for row, one in zip(losses, assessed(events, overlay, settings), strict=True):
+    losses, passed = np.full((2, len(events), len(names)), np.nan)
+    for row, one in enumerate(assessed(events, overlay, settings)):
         for each in one.assessments:
             if each.verdict.ok is not None:
-                row[names.index(each.channel)] = _loss(each.verdict)
-    return np.array([event.start for event in events], dtype=np.int64), losses
+                at = row, names.index(each.channel)
+                losses[at], passed[at] = _loss(each.verdict), each.verdict.ok
+    return Responses(np.array([event.start for event in events], dtype=np.int64), losses, passed)
 
 
 def _loss(verdict: Verdict) -> float:

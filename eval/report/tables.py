@@ -232,9 +232,10 @@ class Measure:
 
 
 def measures(found: CrossValidation) -> list[Measure]:
-    """Columns of all schemes: errors of every channel, then the response times."""
+    """Columns of all schemes: the response times, then the errors of every channel."""
     keys = dict.fromkeys(key for fold in found.folds for key in fold.figures)
-    columns = []
+    columns = [Measure("passed_pct", "Ti/Tt passed", "%")]
+    columns += [Measure(key, label, "%") for key, label in _TIMES.items()]
     for kind, label in _KINDS.items():
         for key in keys:
             head, _, channel = key.partition(".")
@@ -242,8 +243,7 @@ def measures(found: CrossValidation) -> list[Measure]:
                 of = "%" if kind == "max_rel_pct" else unit(channel)
                 bound = found.settings.largest_rmse.get(channel) if kind == "rmse" else None
                 columns.append(Measure(key, f"{symbol(channel)} {label}", of, bound))
-    columns += [Measure(key, label, "%") for key, label in _TIMES.items()]
-    return [*columns, Measure("passed_pct", "Ti/Tt passed", "%")]
+    return columns
 
 
 _KINDS = {"rmse": "RMSE", "worst_rmse": "worst RMSE", "max_rel_pct": "max rel. error"}

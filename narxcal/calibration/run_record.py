@@ -100,6 +100,15 @@ class HeldOutRecord(_Part):
     rmse: dict[str, tuple[Number, ...]]
 
 
+class ResponsesRecord(_Part):
+    """Transients of a speed that one model passed, mean loss of their times, its standard error."""
+
+    passed: int = 0
+    judged: int = 0
+    loss: float | None = None
+    loss_error: float | None = None
+
+
 class MixtureChannel(_Part):
     """Weights of the models in one output, and what they left on what was held out.
 
@@ -109,6 +118,7 @@ class MixtureChannel(_Part):
     weights: dict[str, float] = Field(default_factory=dict)
     leads: str = ""
     held_out_rmse: dict[str, float | None] = Field(default_factory=dict)
+    held_out_responses: dict[str, ResponsesRecord] = Field(default_factory=dict)
     held_out_level: tuple[float | None, ...] = ()
     held_out_lag_s: tuple[float | None, ...] = ()
 

@@ -99,9 +99,9 @@ def judge(
 
 def show(console: Console, found: Report) -> None:
     """Print the tables and the verdict."""
+    terminal.print_transients(console.page, found.evaluation.logs)
     terminal.print_scores(console.page, found.evaluation.logs)
     terminal.print_interval(console.page, found.evaluation.pooled)
-    terminal.print_transients(console.page, found.evaluation.logs)
     terminal.print_levels(console.page, found.evaluation.logs)
     terminal.print_outcome(console.page, found.outcome)
     for caution in found.document["cautions"]:

@@ -119,6 +119,22 @@ def mixture_words(record: RunRecord) -> str:
     return f"{', '.join(parts)} ({found.status})" if parts else ""
 
 
+def held_out_words(record: RunRecord) -> str:
+    """Say what parts held out of the training logs leave: response times first, then errors."""
+    passed = judged = 0
+    errors = []
+    for name, one in record.weighed.channels.items():
+        leader = one.ordered[0][0]
+        responses = one.held_out_responses.get(leader)
+        if responses is not None:
+            passed, judged = passed + responses.passed, judged + responses.judged
+        error = one.held_out_rmse.get("mixture")
+        if error is not None:
+            errors.append(f"{name} {error:.3g} {described(name).unit}")
+    times = f"Ti and Tt {passed} of {judged} passed; " if judged else ""
+    return f"Held out of the training logs: {times}RMSE {', '.join(errors)}" if errors else ""
+
+
 def interval_words(
     found: HalfWidths | None, level: float = LEVEL, names: Sequence[str] = ()
 ) -> str:

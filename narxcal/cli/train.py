@@ -25,6 +25,7 @@ from narxcal.calibration.run_record import RunRecord
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_config
 from narxcal.cli.results import (
+    held_out_words,
     interval_words,
     lag_words,
     mixture_words,
@@ -203,3 +204,5 @@ def _show(console: Console, folder: Path, bundle: Bundle) -> None:
     if bundle.record.interrupted:
         console.say("Interrupted: the best network so far was kept; --resume goes on with it.")
     console.say(f"Model: {folder} ({training.wall_s:.1f} s). Next: narxcal evaluate {folder}")
+    if words := held_out_words(record):
+        console.say(words)
