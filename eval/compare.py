@@ -255,10 +255,7 @@ def compare_runs(runs: Sequence[Run]) -> Comparison:
         rows += _baseline_rows(Baselines.from_json(lead.bundle.record.baselines))
     settings = run_config(lead.bundle)[1].transients
     judged = {row.run: [_assessed(row.run, one, settings) for one in recordings] for row in rows}
-    tallies = {run: [each for log in logs for each in log] for run, logs in judged.items()}
-    rows = [
-        replace(row, ti_tt=tally(found) if (found := tallies[row.run]) else None) for row in rows
-    ]
+    rows = [replace(row, ti_tt=_tally(judged[row.run])) for row in rows]
     passes = pass_differences(_passed(judged, recordings))
     return replace(compare(recordings, rows, _remarks(runs, lead, names)), passes=tuple(passes))
 
@@ -311,6 +308,11 @@ def _assessed(model: str, one: Recording, settings: TransientsConfig) -> list[As
     channels = tuple(one.channels[k] for k in at)
     overlay = Overlay(one.time_s, one.measured[:, at], outputs[:, at], channels, one.scored)
     return assess_events(one.events, overlay, settings)
+
+
+def _tally(judged: Sequence[Sequence[Assessment]]) -> Tally | None:
+    whole = [each for log in judged for each in log]
+    return tally(whole) if whole else None
 
 
 def _passed(

@@ -5,7 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from training.mixture import MODELS, HeldOut, Mixture, error_products, prior_of, weights_of
+from training.mixture import MODELS, HeldOut, Mixture, error_products, leader_of, weights_of
+from training.transients import Responses
+
+ALL = np.ones(len(MODELS), dtype=bool)
+LAGS, SIMPLE = MODELS.index("lags"), MODELS.index("first_order")
 
 
 def products(*pieces, correlation=0.5):
@@ -15,50 +19,37 @@ def products(*pieces, correlation=0.5):
     return rms[:, :, None] * rms[:, None, :] * alike
 
 
-def weighed(products, fitted=None):
-    """By a prior of equal weights."""
-    models = products.shape[1]
-    return weights_of(products, np.full(models, 1.0 / models), fitted)
-
-
-def test_little_evidence_leaves_most_of_a_speed_to_lags_and_network():
-    alike = products([1.0] * len(MODELS), correlation=0.98)
-    assert weights_of(alike, prior_of("N1_pct"))[:2].sum() > 0.6
-    assert weights_of(alike, prior_of("EGT_C")) == pytest.approx([0.2] * len(MODELS))
-    nothing = np.empty((0, len(MODELS), len(MODELS)))
-    assert weights_of(nothing, prior_of("N2_pct"))[:2].tolist() == pytest.approx([0.4, 0.4])
-    clear = products(*[[1.0, 1.0, 0.1, 1.0, 1.0]] * 4)
-    assert weights_of(clear, prior_of("N1_pct"))[MODELS.index("first_order")] > 0.95
-
-
-def test_without_anything_held_out_all_models_there_have_the_weights_of_the_prior():
-    there = np.array([True, False, True, True])
-    assert weighed(np.empty((0, 4, 4)), there) == pytest.approx([1 / 3, 0.0, 1 / 3, 1 / 3])
+@pytest.mark.parametrize("pieces", [0, 1])
+def test_with_fewer_than_two_pieces_the_simple_models_share_the_output(pieces):
+    known = products(*[[0.1, 0.1, 1.0, 2.0, 3.0]] * pieces) if pieces else np.empty((0, 5, 5))
+    assert weights_of(known) == pytest.approx([0.0, 0.0, 1 / 3, 1 / 3, 1 / 3])
+    fitted = np.array([True, True, True, False, False])
+    assert weights_of(known, fitted).tolist() == [0.0, 0.0, 1.0, 0.0, 0.0]
 
 
 def test_without_a_held_out_free_run_the_network_is_alone():
-    assert weighed(np.full((2, 4, 4), np.nan)).tolist() == [1.0, 0.0, 0.0, 0.0]
+    assert weights_of(np.full((2, 5, 5), np.nan)).tolist() == [1.0, 0.0, 0.0, 0.0, 0.0]
 
 
 def test_models_alike_share_the_output_and_a_worse_one_has_less():
-    found = weighed(products([1.0, 1.1, 0.9, 2.0], [1.1, 0.9, 1.0, 2.2]))
+    found = weights_of(products([1.0, 1.1, 0.9, 1.0, 2.0], [1.1, 0.9, 1.0, 1.0, 2.2]))
     assert found.sum() == pytest.approx(1.0)
-    assert found[:3] == pytest.approx([1 / 3] * 3, abs=0.08)
-    assert found[3] < 0.08
+    assert found[:4] == pytest.approx([1 / 4] * 4, abs=0.08)
+    assert found[4] < 0.08
 
 
 def test_a_model_that_is_clearly_best_everywhere_leads_alone():
-    found = weighed(products([0.1, 1.0, 1.0, 1.0], [0.12, 1.0, 1.1, 1.2], [0.1, 0.9, 1.0, 1.0]))
-    assert found.tolist() == [1.0, 0.0, 0.0, 0.0]
-
-
-def test_the_best_of_one_piece_does_not_lead_alone():
-    assert (weighed(products([0.5, 1.0, 1.0, 1.0])) > 0.0).sum() > 1
+    rest = np.ones(4)
+    found = weights_of(products([0.1, *rest], [0.12, *(1.1 * rest)], [0.1, *(0.9 * rest)]))
+    assert found.tolist() == [1.0, 0.0, 0.0, 0.0, 0.0]
 
 
 def test_every_piece_counts_alike_however_large_its_errors_are():
     """The second model is best on two pieces, the first on one with errors of a hundred."""
-    found = weighed(products([1.0, 0.5], [1.0, 0.5], [100.0, 200.0]))
+    rest = np.full(3, 3.0)
+    found = weights_of(
+        products([1.0, 0.5, *rest], [1.0, 0.5, *rest], [100.0, 200.0, *(100.0 * rest)])
+    )
     assert found[1] > found[0]
 
 
@@ -72,60 +63,103 @@ def test_a_slow_error_that_all_models_share_changes_no_weight():
     def weights(error):
         known = np.ones(len(time_s), dtype=bool)
         measured = error + np.zeros((len(time_s), 1))
-        held = HeldOut(
-            "a",
-            "a",
-            whole=True,
-            models=models,
-            steady=measured,
-            measured=measured,
-            inside=known,
-            dt_s=dt_s,
-        )
-        return weights_of(error_products([held], 0), prior_of("N1_pct"))
+        logs = [
+            HeldOut(
+                name,
+                name,
+                whole=True,
+                models=models,
+                steady=measured,
+                measured=measured,
+                inside=known,
+                dt_s=dt_s,
+                responses=(),
+            )
+            for name in ("a", "b")
+        ]
+        return weights_of(error_products(logs, 0))
 
     np.testing.assert_allclose(weights(shared), weights(0.0), atol=0.02)
 
 
 def test_a_model_without_a_free_run_has_no_weight():
-    known = products([1.0, 1.1, 1.0, 0.9], [1.1, 1.0, 0.9, 1.0])
+    known = products([1.0, 1.1, 1.0, 0.9, 1.0], [1.1, 1.0, 0.9, 1.0, 1.0])
     known[:, 3, :] = known[:, :, 3] = np.nan
-    found = weighed(known)
+    found = weights_of(known)
     assert found[3] == 0.0
     assert found.sum() == pytest.approx(1.0)
 
 
 def test_a_model_that_is_stable_in_the_folds_alone_has_no_weight():
-    fitted = np.array([True, True, True, False])
-    found = weighed(products([1.0, 1.1, 1.0, 0.1], [1.1, 1.0, 0.9, 0.1]), fitted)
-    assert found[3] == 0.0
+    fitted = np.array([True, True, True, True, False])
+    found = weights_of(products([1.0, 1.1, 1.0, 1.0, 0.1], [1.1, 1.0, 0.9, 1.0, 0.1]), fitted)
+    assert found[4] == 0.0
     assert found.sum() == pytest.approx(1.0)
 
 
 @settings(max_examples=40, deadline=None)
 @given(
-    pieces=st.integers(1, 5),
+    pieces=st.integers(2, 5),
     scale=st.floats(1e-3, 1e3),
     seed=st.integers(0, 2**32 - 1),
 )
 def test_weights_are_shares_and_have_no_unit(pieces, scale, seed):
-    errors = np.random.default_rng(seed).normal(size=(pieces, 4, 30))
+    errors = np.random.default_rng(seed).normal(size=(pieces, 5, 30))
     known = errors @ errors.transpose(0, 2, 1)
-    found = weighed(known)
+    found = weights_of(known)
     assert (found >= 0.0).all()
     assert found.sum() == pytest.approx(1.0)
-    assert weighed(scale**2 * known) == pytest.approx(found, abs=1e-3)
+    assert weights_of(scale**2 * known) == pytest.approx(found, abs=1e-3)
 
 
-def held(log, errors, whole=True):
-    """A held-out log whose free runs err by `errors` (models,) in the one output."""
+def held(log, errors, whole=True, losses=()):
+    """A held-out log whose free runs err by `errors` (models,) in the one output.
+
+    Each of `losses` (transients, models) is that of a transient, which passes below one half.
+    """
     models = np.tile(np.reshape(errors, (-1, 1, 1)), (1, 50, 1))
     nothing = np.zeros((50, 1))
     inside = np.ones(50, dtype=bool)
-    return HeldOut(log, log, whole, models, nothing, nothing, inside, 0.1)
+    each = np.reshape(losses, (-1, len(MODELS))).T[:, :, None]
+    judged = tuple(
+        Responses(np.arange(len(one)), one, np.where(np.isfinite(one), one < 0.5, np.nan))
+        for one in each
+    )
+    return HeldOut(log, log, whole, models, nothing, nothing, inside, 0.1, judged)
+
+
+@pytest.mark.parametrize(
+    ("losses", "errors", "leader"),
+    [
+        ([0.2, 0.2, 0.2, 0.2, 0.2], [1.0, 1.0, 1.0, 1.0, 1.0], 0),
+        ([0.2, 0.1, 0.2, 0.2, 0.2], [1.0, 9.0, 1.0, 1.0, 1.0], LAGS),  # whatever the RMSE
+        ([0.2, 0.2, 0.2, 0.2, 0.2], [1.0, 0.9, 0.5, 1.0, 1.0], LAGS),  # ties by RMSE
+        ([0.2, 0.3, 0.2, 0.2, 0.2], [1.0, 0.9, 0.5, 1.0, 1.0], 0),
+        ([0.2, 0.2, 0.1, 0.2, 0.2], [1.0, 1.0, 2.0, 1.0, 1.0], SIMPLE),
+        ([np.nan] * 5, [1.0, 1.0, 0.5, 0.5, 0.5], 0),
+    ],
+)
+def test_response_times_choose_who_leads_a_speed(losses, errors, leader):
+    """Losses and errors scatter between flights, all models alike; no mixture of them leads."""
+    flights = [
+        held(str(k), (1.0 + 0.1 * k) * np.array(errors), losses=[0.05 * k + np.array(losses)] * 3)
+        for k in range(4)
+    ]
+    assert leader_of(flights, 0, ALL) == leader
+    missing = ALL.copy()
+    missing[1:] = False
+    assert leader_of(flights, 0, missing) == 0
+
+
+def test_one_flight_that_a_model_does_better_on_does_not_make_it_lead():
+    better, worse = [0.3, 0.1, 0.3, 0.3, 0.3], [0.3, 0.35, 0.3, 0.3, 0.3]
+    flights = [held(str(k), [1.0] * 5, losses=[each]) for k, each in enumerate((better, worse))]
+    assert leader_of(flights, 0, ALL) == 0
+    assert leader_of(flights[:1], 0, ALL) == 0
 
 
 def mixture(*logs):
+    """Network and lags with half of the output each."""
     weights = np.zeros((len(MODELS), 1))
     weights[:2] = 0.5
     return Mixture(("N1_pct",), weights, logs, "")
@@ -148,12 +182,19 @@ def test_a_log_that_spoils_the_rest_is_named():
 
 def test_what_is_stored_says_weights_and_held_out_errors():
     sizes = (1.0, 3.0, 2.0, 1.0, 4.0)
-    found = mixture(held("a", [*sizes[:-1], np.nan]), held("b", sizes)).row()
+    logs = (
+        held("a", [*sizes[:-1], np.nan], losses=[[0.2] * 5]),
+        held("b", sizes, losses=[[0.6] * 5, [np.nan] * 5]),
+    )
+    found = mixture(*logs).row()
     one = found["channels"]["N1_pct"]
     assert one["weights"] == {"network": 0.5, "lags": 0.5}
     errors = dict(zip(MODELS, sizes, strict=True))
     assert one["held_out_rmse"] == pytest.approx({**errors, "mixture": 2.0})
     assert one["held_out_level"] == [2.0, 2.0]
+    assert one["held_out_responses"]["lags"] == {
+        "passed": 1, "judged": 2, "loss": pytest.approx(0.4), "loss_error": pytest.approx(0.2)
+    }  # fmt: skip
     assert found["held_out"] == ["a", "b"]
 
 
