@@ -17,7 +17,8 @@ from eval.log_evaluation import LogEvaluation
 from eval.outcome import Outcome
 from eval.reproduce.data import FAMILIES, DataSets, Effort, cut, within
 from eval.reproduce.inputs import deviations, inputs
-from eval.reproduce.noise import correlation, noise, segments, smoothing
+from eval.reproduce.noise import noise
+from eval.reproduce.recordings import correlation, segments, smoothing
 from eval.reproduce.response import (
     Classed,
     accuracy,
