@@ -126,7 +126,8 @@ def noisy(truth: FloatArray, setting: tuple[float, int]) -> tuple[FloatArray, fl
     snr_db, seed = setting
     # A stream per ratio: the same seed at two ratios must not give the same noise twice.
     rng = np.random.default_rng([seed, round(10 * snr_db) % 2**32])
-    deviation = rms(truth) / 10.0 ** (snr_db / 20.0)
+    strength = np.mean(truth[np.isfinite(truth)] ** 2)
+    deviation = float(np.sqrt(strength / 10.0 ** (snr_db / 10.0)))
     return np.asarray(truth + deviation * rng.normal(size=truth.shape)), deviation
 
 
