@@ -6,10 +6,9 @@ compares them with a simulator, and an error of 1 % says nothing about an engine
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
-from importlib.resources import files
+from functools import partial
 from itertools import product
 from typing import Any
 
@@ -40,7 +39,7 @@ from eval.reproduce.citation_static import (
     StaticRow,
     static_study,
 )
-from eval.reproduce.study import Claim, Study, table_of
+from eval.reproduce.study import CLAIMS, Claim, Study, claim, table_of
 from narxcal.atmosphere import air_state
 from narxcal.static_models.model import CP, GAS_R, K
 from narxcal.support.arrays import FloatArray
@@ -54,8 +53,8 @@ _FUEL = ("Torenbeek fuel", "BADA 3", "Yoder")
 _BOX = "polynomial 2"  # the black box that thrust and fuel are compared with
 _FIRST, _DELAYED, _SECOND = "order 1", "order 1 delayed", "order 2"
 _ONE, _WIDE = "1/O O/3", "5/O O/5 (C = I)"
-_WORDS = tomllib.loads(files(__package__).joinpath("citation_x.toml").read_text("utf-8"))
-CONTRADICTIONS: tuple[str, ...] = tuple(_WORDS["contradictions"])  # of the paper with itself
+CONTRADICTIONS: tuple[str, ...] = tuple(CLAIMS["contradictions"]["citation-x"])
+_claim = partial(claim, "citation-x")
 Tables = Mapping[tuple[str, str], FloatArray]
 
 
@@ -78,14 +77,8 @@ def dynamic_claims(
         found += [*_impulses_and_ramps(rows)]
     for kind in kinds:
         ratio = _all(rows, kind, _FIRST) / _all(rows, kind, STATIC)
-        found.append(_claim("C15", float(ratio.max()), kind))
+        found.append(_claim("C15", float(ratio.max()), kind=kind))
     return found
-
-
-def _claim(key: str, value: float, what: object = "", remark: Sequence[object] = ()) -> Claim:
-    """Row of the table of claims with our value; `what` and `remark` fill its braces."""
-    words, claimed, limit, *said = _WORDS["claims"][key]
-    return Claim(words.format(what), claimed, value, limit, "".join(said).format(*remark))
 
 
 def _thrust_and_fuel(high: RegionStudy) -> Iterator[Claim]:
@@ -100,38 +93,38 @@ def _thrust_and_fuel(high: RegionStudy) -> Iterator[Claim]:
     yield _claim("C2_best", fuel / np.nanmin(fuels))
     for name in ("Cold Thrust", "Yoder+"):
         ratio = _search(high, name, "swarm") / _search(high, name, "levenberg-marquardt")
-        yield _claim("C3", ratio, name)
+        yield _claim("C3", ratio, name=name)
     least = float(np.nanmin([_success(high, f"{law} - drag") for law in _THRUST]))
     yield _claim("C4_laws", least)
     yield _claim("C4_box", _success(high, _BOX))
     for name, grey in (("FN_kN", thrust), ("FF_kgph", fuel)):
-        yield _claim("C8", grey / _mean(high, name, _BOX), name)
+        yield _claim("C8", grey / _mean(high, name, _BOX), name=name)
 
 
 def _regions(low: RegionStudy, high: RegionStudy) -> Iterator[Claim]:
     for name in OUTPUTS:
         kind = {"FN_kN": BEST_THRUST, "FF_kgph": "Yoder+"}.get(name, "spline table")
-        yield _claim("C5", _mean(low, name, kind) / _mean(high, name, kind), name)
+        yield _claim("C5", _mean(low, name, kind) / _mean(high, name, kind), name=name)
     for name in PRESSURES:
         spline, box = (
             sum(_mean(study, name, model) for study in (low, high))
             for model in ("spline table", "polynomial 3")
         )
-        yield _claim("C6", spline / box, name)
+        yield _claim("C6", spline / box, name=name)
 
 
 def _degrees(study: RegionStudy) -> Iterator[Claim]:
     degrees, known, left_out, _ = np.array(study.degrees).T
     name, best = study.region.name, int(degrees[np.argmin(left_out)])
-    yield _claim("C7_known", float(np.max(known[1:] / known[:-1])), name)
-    yield _claim("C7_best", float(left_out[-1] / left_out.min()), name, [best])
+    yield _claim("C7_known", float(np.max(known[1:] / known[:-1])), name=name)
+    yield _claim("C7_best", float(left_out[-1] / left_out.min()), name=name, best=best)
 
 
 def _starts(steps: Sequence[Scaled]) -> Iterator[Claim]:
     start = {n: float(np.median([s.scales[n].start for s in steps])) for n in OUTPUTS}
     yield _claim("C9_FPR", start["FPR"])
     for name in OUTPUTS[1:]:
-        yield _claim("C9_start", start[name], name)
+        yield _claim("C9_start", start[name], name=name)
     yield _claim("C9_thrust", _latest(steps, "FN_kN", _early))
     yield _claim("C9_ITT", _latest(steps, "EGT_C", _settling))
     yield _claim("C9_fuel", float(np.median([s.scales["FF_kgph"].end for s in steps])))
@@ -152,8 +145,8 @@ def _impulses_and_ramps(rows: Sequence[DynamicRow]) -> Iterator[Claim]:
     first, second, many, three = (_all(rows, "impulse", m) for m in (_FIRST, _SECOND, _WIDE, _ONE))
     yield _claim("C11_second", first.mean() / second.mean())
     yield _claim("C11_box", first.mean() / three.mean())
-    others = [_all(rows, kind, _WIDE).max() for kind in ("step", "ramp")]
-    yield _claim("C11_most", float(many.max()), remark=others)
+    others = {kind: _all(rows, kind, _WIDE).max() for kind in ("step", "ramp")}
+    yield _claim("C11_most", float(many.max()), **others)
     ramp, step = _all(rows, "ramp", _DELAYED), _all(rows, "step", _DELAYED)
     yield _claim("C12_ramp", ramp.mean() / step.mean())
     ratios = ramp / _all(rows, "ramp", _SECOND)
@@ -166,7 +159,7 @@ def _impulses_and_ramps(rows: Sequence[DynamicRow]) -> Iterator[Claim]:
 def _orders(rows: Sequence[DynamicRow], tables: Sequence[Tables]) -> Iterator[Claim]:
     one, modal, free = (_all(rows, "step", m).mean() for m in (_FIRST, "5/O O/5", _WIDE))
     yield _claim("C13_free", one / free)
-    yield _claim("C13_modal", one / modal, remark=(one, modal, free))
+    yield _claim("C13_modal", one / modal, one=one, modal=modal, free=free)
     pair = (_WIDE, "+".join(OUTPUTS)), ("1/O O/4 (canonical)", "FN_kN")
     wide, narrow = np.mean([[_variation(t[key][..., 0]) for key in pair] for t in tables], axis=0)
     yield _claim("C13_A11", float(wide / narrow))

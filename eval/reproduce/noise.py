@@ -21,7 +21,7 @@ from data_prep.prepare import hold_inputs
 from eval.report import figures, tables
 from eval.report.style import Picture
 from eval.reproduce.data import DataSets, Effort, numbered
-from eval.reproduce.study import Claim, Study
+from eval.reproduce.study import Claim, Study, claim
 from eval.scores import rms
 from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.fuser import FastFuser, FusedRun
@@ -215,19 +215,14 @@ def share_better(found: Mapping[str, pd.DataFrame], better: str, worse: str) -> 
 
 
 def _claims(found: Mapping[str, pd.DataFrame]) -> list[Claim]:
-    ratios = "Signal-to-noise ratios and data sets at which "
-    pairs = (
-        ("the network fed with the fused signal is nearer to the truth than fed with the noisy one",
-         "paper", "fed_fused", "fed_raw"),
-        ("the fused signal is nearer to the truth than the noisy one", "paper", "fused", "raw"),
-        ("the fused signal is nearer to the truth than the free run", "our goal", "fused",
-         "free_run"),
-    )  # fmt: skip
     claims = []
-    for words, origin, better, worse in pairs:
+    for key, better, worse in (
+        ("fed", "fed_fused", "fed_raw"), ("fused", "fused", "raw"),
+        ("free_run", "fused", "free_run"),
+    ):  # fmt: skip
         share = share_better(found, better, worse)
         remark = "" if share >= 100.0 else _lost(found, better, worse)
-        claims.append(Claim(ratios + words, "all", share, ">= 100 %", remark, origin))
+        claims.append(claim("narx-paper", key, share, remark=remark))
     return claims
 
 

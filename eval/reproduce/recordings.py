@@ -21,7 +21,7 @@ from eval.report import figures, tables
 from eval.report.style import Picture, unit, with_unit
 from eval.report.tables import Cell, Table, figure
 from eval.reproduce.data import DataSets, truth_of
-from eval.reproduce.study import NOT_ABOVE_ONE, Claim, Study, table_of
+from eval.reproduce.study import Claim, Study, claim, table_of
 from eval.scores import rms
 from narxcal.channels import symbol
 from narxcal.support.arrays import FloatArray
@@ -103,13 +103,9 @@ def _window_claim(rows: list[dict[str, Any]], name: str) -> Claim:
     own = {row["window"]: row["rms"] for row in rows if row["channel"] == name}
     best = best_window(rows, name)
     lost = f"{best} samples leave {own[best]:.3g} {unit(name)} and {CHOSEN} leave {own[CHOSEN]:.3g}"
-    return Claim(
-        f"RMS error of {symbol(name)} with {CHOSEN} samples, over that with the best window",
-        "1 (11 is the best of 3, 11 and 21)",
-        own[CHOSEN] / own[best],
-        NOT_ABOVE_ONE,
-        "" if best == CHOSEN else f"{lost}: how noisy the sensor is decides",
-    )
+    remark = "" if best == CHOSEN else f"{lost}: how noisy the sensor is decides"
+    ratio = own[CHOSEN] / own[best]
+    return claim("narx-paper", "window", ratio, name=symbol(name), remark=remark)
 
 
 def _smoothing_table(rows: list[dict[str, Any]]) -> Table:
@@ -136,6 +132,9 @@ SEGMENT_SETS = 10
 def segments(data: DataSets) -> Study:
     """Count the events, and draw every one of them."""
     pushes = sum(event.label == PUSH for one in data.prepared for event in one.events)
+    own = "the user's own data" if len(data.logs) < SEGMENT_SETS else ""
+    more = "more or fewer than the paper's is no merit; every one is used"
+    no_merit = more if pushes != PAPER_SEGMENTS else ""
     return Study(
         key="segments",
         title="Segments cut at the lever's movements",
@@ -143,22 +142,8 @@ def segments(data: DataSets) -> Study:
         text="Each event runs from the last sample before the lever moves to where lever and "
         "speeds have settled. Label 0 is a push, 1 a pull.",
         claims=[
-            Claim(
-                "Data sets",
-                f"{SEGMENT_SETS}",
-                len(data.logs),
-                f">= {SEGMENT_SETS}",
-                "the user's own data" if len(data.logs) < SEGMENT_SETS else "",
-            ),
-            Claim(
-                "Segments in which the lever is pushed",
-                f"{PAPER_SEGMENTS}",
-                pushes,
-                f">= {PAPER_SEGMENTS}",
-                "more or fewer than the paper's is no merit; every one is used"
-                if pushes != PAPER_SEGMENTS
-                else "",
-            ),
+            claim("narx-paper", "sets", len(data.logs), remark=own),
+            claim("narx-paper", "pushes", pushes, remark=no_merit),
         ],
         tables=[_segment_table(data)],
         pictures=_firsts(data),
@@ -228,15 +213,11 @@ def leading(table: pd.DataFrame, lever: str) -> np.ndarray:
 
 def _correlation_claim(lever: str, name: str, table: pd.DataFrame) -> Claim:
     first = leading(table, lever)
-    weak = [f"{table[lever].iloc[row]:+.2f}" for row in np.flatnonzero(~first)]
-    return Claim(
-        f"Data sets in which {symbol(lever)} is the strongest correlate of {symbol(name)} "
-        "and a strong one",
-        "all",
-        100.0 * float(first.mean()),
-        ">= 100 %",
-        f"elsewhere its rho is {', '.join(weak)}: altitude and Mach move the speeds too, "
-        "over data sets that climb" if weak else "",
+    weak = ", ".join(f"{table[lever].iloc[row]:+.2f}" for row in np.flatnonzero(~first))
+    climbs = "altitude and Mach move the speeds too, over data sets that climb"
+    return claim(
+        "narx-paper", "driver", 100.0 * float(first.mean()), lever=symbol(lever),
+        name=symbol(name), remark=f"elsewhere its rho is {weak}: {climbs}" if weak else "",
     )  # fmt: skip
 
 
