@@ -19,22 +19,9 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from eval.benchmarks import (
-    Row,
-    faults,
-    fleets,
-    flights,
-    priors,
-    public_sets,
-    recorders,
-    speed,
-    untuned,
-    virtual_engine,
-)
+from eval.benchmarks import Row, flights, public_sets, recorders, speed, untuned
 from eval.terminal import plain_table
-from narxcal.support.errors import NarxcalError
 from narxcal.support.files import to_json, versions
-from training.scatter import Priors
 
 SCHEMA = "narxcal.bench/1"
 _SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -61,7 +48,6 @@ def _parser() -> argparse.ArgumentParser:
     for name, words in (
         ("--flights", "leave one flight out instead"),
         ("--untuned", "instead, configurations of columns and split on many engines and recorders"),
-        ("--fleets", "instead, more flights and a bad one, virtual fleets"),
     ):
         which.add_argument(name, action="store_true", help=words)
     which.add_argument(
@@ -83,7 +69,7 @@ def _parser() -> argparse.ArgumentParser:
         ("--json", "print one JSON document"),
     ):
         parser.add_argument(name, action="store_true", help=words)
-    parser.add_argument("--seed", type=int, default=0, help="of flights that are flown, of faults")
+    parser.add_argument("--seed", type=int, default=0, help="of flights that are flown")
     parser.add_argument(
         "--data", type=Path, default=_SHARED, help="folder that holds bench, flights, agtf30"
     )
@@ -96,31 +82,15 @@ def _measured(options: argparse.Namespace) -> Iterator[Row]:
     if options.untuned:
         yield from untuned.rows(data, seed)
     elif options.recorders:
-        folder = options.recorders.resolve()
         yield from recorders.rows(
-            folder,
-            options.sets,
-            _priors(folder),
-            screening_only=options.screening_only,
+            options.recorders.resolve(), options.sets, screening_only=options.screening_only
         )
-    elif options.fleets:
-        yield from fleets.rows(seed)
     elif options.flights:
         for campaign, name in zip(flights.CAMPAIGNS, ("flights", "agtf30"), strict=True):
             yield from flights.rows(data / name, (campaign,))
     else:
         yield from speed.rows()
-        yield from virtual_engine.rows()
         yield from public_sets.rows(data / "bench")
-        yield from faults.rows(data, seed)
-
-
-def _priors(data: Path) -> dict[str, Priors]:
-    """Priors of screening for each recorder by the others; shipped ones where any is missing."""
-    try:
-        return priors.without_each(data)
-    except NarxcalError:
-        return {}
 
 
 def describe(found: Sequence[Row], wall_s: float) -> dict[str, Any]:

@@ -34,7 +34,7 @@ from narxcal.channels import described
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, DataError, did_you_mean
 from narxcal.support.files import finite, versions
-from narxcal.support.settings import Section, read_toml
+from narxcal.support.settings import Section, in_toml, read_toml
 from training.rules import Manoeuvre, Rules
 from training.transients import AssessedEvent, Assessment, TransientsConfig, assessed
 
@@ -573,13 +573,8 @@ def start_file(events: Evaluated, file: Path) -> str:
     ]
     for row, why in zip(rows, reasons, strict=True):
         lines += ["", "[[test]]" + (f"  # {_plain(why)}" if why else "")]
-        lines += [f"{name} = {_quoted(value)}" for name, value in row.items()]
+        lines += [f"{name} = {in_toml(value)}" for name, value in row.items()]
     return "\n".join(lines) + "\n"
-
-
-def _quoted(value: str | float) -> str:
-    """TOML of a text, number or boolean, which but for one letter is its JSON."""
-    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _plain(text: str) -> str:

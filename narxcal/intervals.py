@@ -49,7 +49,7 @@ LEVEL: Final = 0.9  # of intervals on pages and in replays
 ENOUGH: Final = 8  # held-out pieces; with fewer it is said that intervals are widened
 LEVELS: Final = (0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95, 0.98, 0.99)
 _PRIOR, _PRIOR_WITHIN, _PRIOR_PIECES = 2.0, 0.5, 1.5  # C_0 with offsets and without, and its count
-_PRIOR_RECORDINGS = 2.0  # m: as fleets differ in s, see `eval.benchmarks.fleets`
+_PRIOR_RECORDINGS = 2.0  # m: as fleets differ in s, by `python -m eval.bench --fleets` of 2f9145a
 _LEAST = 20  # errors near x: a 90 % quantile needs 10; twice that
 # Shares of samples below the lowest x of a bin: each bin holds half of what lies above.
 _SHARES: Final = (0.0, 0.5, 0.75, 0.875, 0.9375)

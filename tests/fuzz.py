@@ -496,7 +496,7 @@ EMULATOR = {
 
 COMMANDS = (
     "demo", "prepare", "train", "identify", "evaluate", "compare", "crossval", "replay",
-    "simulate", "info", "denoise", "fly", "reproduce", "export", "benchmark", "diagnose", "blind",
+    "simulate", "info", "fly", "reproduce", "export", "benchmark", "diagnose", "blind",
     "fleet", "watch",
 )  # fmt: skip
 OPTIONS = (

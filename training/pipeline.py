@@ -59,7 +59,7 @@ from training.steady_fit import SteadyQuality
 T = TypeVar("T")
 # Scatter of recordings of a fleet, as a share of the tolerance that level checks allow. Its prior
 # counts as two recordings. Chosen by one flown fleet and seven recorders; with a second fleet 0.35
-# and 1.4 recordings are the most likely (`python -m eval.bench --fleets`).
+# and 1.4 recordings are the most likely (`python -m eval.bench --fleets` of 2f9145a).
 BETWEEN: Final = 0.4
 
 

@@ -59,8 +59,8 @@ Heights = Mapping[int, Sequence[float]]  # octave -> largest heights of logs wit
 class ScatterPrior:
     """Medians m over recorders, as a share of the level by unit and of delays; h and g.
 
-    The values are most likely on the recorders at hand (`python -m eval.benchmarks.priors`,
-    which also leaves each of them out).
+    The values are most likely on the recorders at hand (`python -m eval.benchmarks.priors`
+    of 2f9145a); `python -m eval.bench --recorders` leaves each of them out.
     """
 
     median: Mapping[str, float] = field(
@@ -178,8 +178,8 @@ class Step:
 class StepPrior:
     """Prior of ln h over recorders: m at k = 0 and its factor per octave, sqrt(v_0), d and p.
 
-    The values are most likely on the recorders at hand (`python -m eval.benchmarks.priors`,
-    which also leaves each of them out).
+    The values are most likely on the recorders at hand (`python -m eval.benchmarks.priors`
+    of 2f9145a); `python -m eval.bench --recorders` leaves each of them out.
     """
 
     median: float = 0.026

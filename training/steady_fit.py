@@ -27,7 +27,7 @@ has none.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
@@ -58,9 +58,9 @@ _NOT_MONOTONE = 0.8  # of the residual that a monotone curve leaves
 _USUAL = SteadyFitConfig()
 _ROWS = 20000  # more quasi-steady samples than this tell nothing new
 # Standard deviation of the exponents of theta and delta from those of similarity, by the unit of
-# the output, as of the recorders that fly: `python -m eval.benchmarks.priors` leaves one out in
-# turn. Without a prior its estimates are several times as large, and differ as much in sign. Those
-# of similarity lie between 0 and 1: where a channel's are not known, the logs have to say.
+# the output, as of the recorders that fly: `python -m eval.benchmarks.priors` of 2f9145a left one
+# out in turn. Without a prior its estimates are several times as large, and differ as much in sign.
+# Those of similarity lie between 0 and 1: where a channel's are not known, the logs have to say.
 SPREADS: Final = {"%": (0.06, 0.03), "degC": (0.12, 0.065)}
 _UNKNOWN: Final = (1.0, 1.0)
 _NEAR: Final = 0.15  # of the driver's range: curves may still bend so far beyond the samples
@@ -97,15 +97,13 @@ def fit_steady_state(
     samples: Sequence[SteadySamples],
     layout: Layout,
     config: SteadyFitConfig = _USUAL,
-    spreads: Mapping[str, tuple[float, float]] = SPREADS,
 ) -> tuple[FittedSteadyState, SteadyQuality]:
     """Fit all outputs; raises `DataError` where there is too little to fit to.
 
-    `spreads` are prior standard deviations of the exponents of theta and delta, by unit.
     Corrected parameters without ALT_ft raise `ConfigError`.
     """
     design, data = linear_problem(samples, layout, config)
-    strengths = _strengths(design, data, spreads)
+    strengths = _strengths(design, data)
     parts = zip(layout.output_names, data.matrices, data.corrected.T, strengths, strict=True)
     curves = np.stack(
         [
@@ -268,9 +266,7 @@ def _may_turn(output: str) -> bool:
     return output.endswith("_C") or output not in CHANNELS
 
 
-def _strengths(
-    design: _Design, data: LinearData, spreads: Mapping[str, tuple[float, float]]
-) -> FloatArray:
+def _strengths(design: _Design, data: LinearData) -> FloatArray:
     """Penalties (n_out, lines) on what engines, switches and exponents add; see the module."""
     usual = np.full((len(data.corrected.T), design.lines), design.config.scatter)
     if not design.engines and not design.layout.exponents:
@@ -292,14 +288,14 @@ def _strengths(
         each = variance[:, None] / (scatter[:, None] * t) ** 2
         usual[:, :count] = np.tile(each, len(design.engines))
     for k, ratio in enumerate(design.layout.exponents):
-        spread = np.array([_spread(name, spreads)[RATIOS.index(ratio)] for name in names])
+        spread = np.array([_spread(name)[RATIOS.index(ratio)] for name in names])
         at = design.lines - 2 * (len(design.layout.exponents) - k)
         usual[:, at : at + 2] = (variance / (spread * level) ** 2)[:, None]
     return usual
 
 
-def _spread(output: str, spreads: Mapping[str, tuple[float, float]]) -> tuple[float, float]:
-    return spreads["degC" if output.endswith("_C") else "%"] if output in CHANNELS else _UNKNOWN
+def _spread(output: str) -> tuple[float, float]:
+    return SPREADS["degC" if output.endswith("_C") else "%"] if output in CHANNELS else _UNKNOWN
 
 
 def _independent(residual: FloatArray) -> float:

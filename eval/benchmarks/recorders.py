@@ -13,14 +13,15 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 import pandas as pd
+from scipy.optimize import minimize
 
 from data_prep.grid import joined
 from data_prep.log import Finding, Log, Source
@@ -30,13 +31,15 @@ from eval.benchmarks import Row
 from eval.evaluate import Evaluation, evaluate
 from eval.run_logs import bank_of
 from narxcal.channels import channel
+from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import NarxcalError
 from training.config import RunConfig, load_config
 from training.masking import by_each_other
 from training.pipeline import calibrate
 from training.records import Split
+from training.redundancy import is_measured
 from training.redundancy_fit import learn
-from training.scatter import PRIORS, Priors
+from training.scatter import PRIORS, Priors, ScatterPrior, StepPrior
 from training.screening import screened
 
 SETS: Final = ("citation", "a321", "jetcat", "test_cell", "micro_gas_turbine", "agtf30")
@@ -227,19 +230,87 @@ def _figures(found: Evaluation) -> Iterator[Figure]:
         yield Figure(name, pooled.rmse, as_recorded, pooled.baselines, why)
 
 
-def rows(
-    data: Path,
-    sets: Sequence[str] = SETS,
-    priors: Mapping[str, Priors] | None = None,
-    *,
-    screening_only: bool = False,
-) -> Iterator[Row]:
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """What logs of one recorder show that are left out of its bank: the evidence for priors."""
+
+    levels: Mapping[str, Sequence[float]]
+    delays: Mapping[str, Sequence[float]]
+    steps: Mapping[str, Mapping[int, Sequence[float]]]
+
+    @classmethod
+    def by(cls, recorder: Recorder) -> Self:
+        """Learn the bank of all logs of a recorder, without what they show to be at fault."""
+        config = recorder.config
+        names = (*config.narx.outputs, *config.steady_state.inputs)
+        raw = [log for logs in recorder.recordings.values() for log in logs]
+        logs = by_each_other([one.log for one in prepare(raw, config)], names)
+        bank = learn([log.without_faults() for log in logs], names)
+        if bank is None:
+            return cls({}, {}, {})
+        levels = {name: each for name, each in bank.level.items() if is_measured(name)}
+        return cls(levels, bank.late, bank.heights)
+
+
+def most_likely(shown: Sequence[Shown]) -> Priors:
+    """Maximise the evidence of all recorders, over the logarithms of the priors' parameters."""
+
+    def scatter(x: FloatArray) -> ScatterPrior:
+        *medians, other, delay_s, recorders, channels = np.exp(x).tolist()
+        units = dict(zip(PRIORS.scatter.median, medians, strict=True))
+        return ScatterPrior(units, other, delay_s, recorders, channels)
+
+    def steps(x: FloatArray) -> StepPrior:
+        return StepPrior(*np.exp(x).tolist())
+
+    def levels(x: FloatArray) -> float:
+        return sum(scatter(x).log_evidence(each.levels, each.delays) for each in shown)
+
+    one = PRIORS.scatter
+    start = [*one.median.values(), one.other, one.delay_s, one.recorders, one.channels]
+    heights = list(asdict(PRIORS.steps).values())
+    return Priors(
+        scatter(_maximum(levels, start)),
+        steps(_maximum(lambda x: sum(steps(x).log_evidence(e.steps) for e in shown), heights)),
+    )
+
+
+def _maximum(evidence: Callable[[FloatArray], float], start: Sequence[float]) -> FloatArray:
+    begin: FloatArray = np.log(np.array(start))
+
+    def loss(x: FloatArray) -> float:
+        return -evidence(x)
+
+    found = minimize(
+        loss, begin, method="Nelder-Mead",
+        options={"maxiter": 4000, "maxfev": 4000, "xatol": 1e-2, "fatol": 1e-3},
+    )  # fmt: skip
+    return np.asarray(found.x)
+
+
+def priors_of_others(data: Path) -> dict[str, Priors]:
+    """The most likely priors of screening for each recorder by all others.
+
+    None, so that the shipped ones are taken, where the files of a recorder are missing.
+    """
+    try:
+        shown = {name: Shown.by(Recorder.read(name, data)) for name in SETS}
+    except NarxcalError:
+        return {}
+    return {
+        name: most_likely([each for other, each in shown.items() if other != name])
+        for name in shown
+    }
+
+
+def rows(data: Path, sets: Sequence[str] = SETS, *, screening_only: bool = False) -> Iterator[Row]:
     """Measure the sets whose files are there, then all of them together.
 
-    `priors` are those of screening for each set; trained models have the shipped ones.
+    Screening has the priors by all other recorders; trained models have the shipped ones.
     """
     figures: list[Figure] = []
     seen: list[Screened] = []
+    priors = priors_of_others(data)
     for name in sets:
         try:
             recorder = Recorder.read(name, data)
@@ -249,7 +320,7 @@ def rows(
         own: list[Figure] = []
         checked: list[Screened] = []
         for recording, train, judged in recorder.divisions():
-            checked += screening(recorder, train, judged, (priors or {}).get(name, PRIORS))
+            checked += screening(recorder, train, judged, priors.get(name, PRIORS))
             if not screening_only:
                 part = trained(recorder, train, judged)
                 yield from (_row(name, recording, one) for one in part)

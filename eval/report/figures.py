@@ -24,7 +24,7 @@ from narxcal.support.arrays import FloatArray
 if TYPE_CHECKING:
     from eval.compare import Comparison, Recording
     from eval.crossval import CrossValidation, FoldResult
-    from eval.denoising import NoiseSweep
+    from eval.reproduce.noise import NoiseSweep
 
 
 def overlay(view: LogView) -> Picture:

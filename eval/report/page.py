@@ -25,7 +25,6 @@ from training.transients import AssessedEvent, tally
 if TYPE_CHECKING:
     from eval.compare import Comparison
     from eval.crossval import CrossValidation
-    from eval.denoising import NoiseSweep
 
 WORST_EVENTS = 3
 
@@ -138,11 +137,6 @@ def crossval_page(header: RunHeader, found: CrossValidation) -> str:
 def compare_page(header: RunHeader, found: Comparison) -> str:
     """Build the page of `compare`: one table, one figure, the significant differences."""
     return render("compare.html.j2", header=header, found=found)
-
-
-def noise_page(header: RunHeader, outcome: Outcome, sweeps: Sequence[NoiseSweep]) -> str:
-    """Build the page of `denoise`: the paper's noise experiment on its own."""
-    return render("denoise.html.j2", header=header, outcome=outcome, sweeps=sweeps)
 
 
 def write_page(path: str | os.PathLike[str], html: str) -> None:

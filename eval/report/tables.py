@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from eval.compare import Comparison
     from eval.compare import Row as ComparedRow
     from eval.crossval import CrossValidation, FoldResult
-    from eval.denoising import NoiseSweep
     from eval.report.figures import WindowTrial
+    from eval.reproduce.noise import NoiseSweep
     from eval.trim import Trim
 
 Mark = Literal["", "best", "good", "bad", "none", "strong", "head", "group"]
@@ -305,8 +305,7 @@ def noise(sweep: NoiseSweep) -> Table:
         zip(sweep.table["snr_db"], sweep.table["mean_nis"], strict=True)
     ):
         values = [float(curve[at]) for curve in curves.values()]
-        least = min((value for value in values if math.isfinite(value)), default=math.nan)
-        marked = [figure(value, "best" if value == least else "") for value in values]
+        marked = [figure(value, "best" if value == min(values) else "") for value in values]
         rows.append(row(f"{ratio:g}", *marked, float(nis)))
     caption = f"{sweep.log}: RMSE of {with_unit(sweep.channel)} against the clean signal"
     return Table(caption, ("SNR [dB]", *curves, "mean NIS"), tuple(rows))

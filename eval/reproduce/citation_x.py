@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
+from functools import partial
 from itertools import product
 from typing import Any
 
@@ -38,7 +39,7 @@ from eval.reproduce.citation_static import (
     StaticRow,
     static_study,
 )
-from eval.reproduce.study import Claim, Study, table_of
+from eval.reproduce.study import CLAIMS, Claim, Study, claim, table_of
 from narxcal.atmosphere import air_state
 from narxcal.static_models.model import CP, GAS_R, K
 from narxcal.support.arrays import FloatArray
@@ -51,16 +52,19 @@ _THRUST = ("Mattingly", "Torenbeek", "Aerospatiale", "Wanner")
 _FUEL = ("Torenbeek fuel", "BADA 3", "Yoder")
 _BOX = "polynomial 2"  # the black box that thrust and fuel are compared with
 _FIRST, _DELAYED, _SECOND = "order 1", "order 1 delayed", "order 2"
+_ONE, _WIDE = "1/O O/3", "5/O O/5 (C = I)"
+CONTRADICTIONS: tuple[str, ...] = tuple(CLAIMS["contradictions"]["citation-x"])
+_claim = partial(claim, "citation-x")
 Tables = Mapping[tuple[str, str], FloatArray]
-Row = tuple[str, str, float, str] | tuple[str, str, float, str, str]
 
 
 def static_claims(engines: Engines, low: RegionStudy, high: RegionStudy) -> list[Claim]:
     """C1 to C8 and C14."""
-    rows = [*_thrust_and_fuel(high), *_regions(low, high), *_degrees(low), *_degrees(high)]
     share = 100.0 * abs(cold_share(engines, high) - 0.75)
-    rows.append(("C14 fan stream in net thrust, high: distance from 75 %", "0", share, "< 5 %"))
-    return [Claim(*row) for row in rows]
+    return [
+        *_thrust_and_fuel(high), *_regions(low, high), *_degrees(low), *_degrees(high),
+        _claim("C14", share),
+    ]  # fmt: skip
 
 
 def dynamic_claims(
@@ -73,132 +77,92 @@ def dynamic_claims(
         found += [*_impulses_and_ramps(rows)]
     for kind in kinds:
         ratio = _all(rows, kind, _FIRST) / _all(rows, kind, STATIC)
-        what = f"C15 {kind}: mean error, first order over static model, worst output"
-        found.append((what, "below 1", float(ratio.max()), "< 1"))
-    return [Claim(*row) for row in found]
+        found.append(_claim("C15", float(ratio.max()), kind=kind))
+    return found
 
 
-def _thrust_and_fuel(high: RegionStudy) -> Iterator[Row]:
+def _thrust_and_fuel(high: RegionStudy) -> Iterator[Claim]:
     thrust, fuel = _mean(high, "FN_kN", BEST_THRUST), _mean(high, "FF_kgph", "Yoder+")
     laws = [_mean(high, "FN_kN", f"{law}{drag}") for law in _THRUST for drag in ("", " - drag")]
     fuels = [_mean(high, "FF_kgph", name) for name in _FUEL]
-    yield "C1 Cold Thrust, high: mean error", "about 1 %", thrust, "< 1 %"
-    yield "C1 Cold Thrust, high: success", "100 %", _success(high, BEST_THRUST), ">= 100 %"
-    yield (
-        "C1 its mean error over the best law's", "below 1", thrust / np.nanmin(laws), "< 1",
-        "the CLM is nearer still: the flown engine is one of its builds",
-    )  # fmt: skip
-    yield "C2 Yoder+, high: mean error", "1.38 %", fuel, "< 1.4 %"
-    yield "C2 Yoder+, high: success", "99.68 %", _success(high, "Yoder+", "FF_kgph"), ">= 99.68 %"
-    yield "C2 its mean error over the best other's", "below 1", fuel / np.nanmin(fuels), "< 1"
+    yield _claim("C1_error", thrust)
+    yield _claim("C1_success", _success(high, BEST_THRUST))
+    yield _claim("C1_best", thrust / np.nanmin(laws))
+    yield _claim("C2_error", fuel)
+    yield _claim("C2_success", _success(high, "Yoder+", "FF_kgph"))
+    yield _claim("C2_best", fuel / np.nanmin(fuels))
     for name in ("Cold Thrust", "Yoder+"):
         ratio = _search(high, name, "swarm") / _search(high, name, "levenberg-marquardt")
-        what = f"C3 {name}: mean error by swarm over that by Levenberg-Marquardt"
-        yield what, "a little above 1", ratio, ">= 0.999"
+        yield _claim("C3", ratio, name=name)
     least = float(np.nanmin([_success(high, f"{law} - drag") for law in _THRUST]))
-    yield "C4 thrust laws with drag, high: least success", "above 95 %", least, ">= 95 %"
-    yield (
-        "C4 black box for thrust, high: success", "below 95 %", _success(high, _BOX), "< 95 %",
-        "a smooth engine, exact altitudes and no noise suit a polynomial",
-    )  # fmt: skip
+    yield _claim("C4_laws", least)
+    yield _claim("C4_box", _success(high, _BOX))
     for name, grey in (("FN_kN", thrust), ("FF_kgph", fuel)):
-        ratio = grey / _mean(high, name, _BOX)
-        yield f"C8 {name}: mean error, grey box over polynomial, high", "below 1", ratio, "< 1"
+        yield _claim("C8", grey / _mean(high, name, _BOX), name=name)
 
 
-def _regions(low: RegionStudy, high: RegionStudy) -> Iterator[Row]:
+def _regions(low: RegionStudy, high: RegionStudy) -> Iterator[Claim]:
     for name in OUTPUTS:
         kind = {"FN_kN": BEST_THRUST, "FF_kgph": "Yoder+"}.get(name, "spline table")
-        ratio = _mean(low, name, kind) / _mean(high, name, kind)
-        remark = "the paper's low altitudes were hard to keep, ours are exact"
-        yield f"C5 {name}: mean error, low over high", "above 1", ratio, ">= 1", remark
+        yield _claim("C5", _mean(low, name, kind) / _mean(high, name, kind), name=name)
     for name in PRESSURES:
         spline, box = (
             sum(_mean(study, name, model) for study in (low, high))
             for model in ("spline table", "polynomial 3")
         )
-        what = f"C6 {name}: mean error, spline table over polynomial"
-        yield what, "below 1", spline / box, "< 1", "stage stacking is not built"
+        yield _claim("C6", spline / box, name=name)
 
 
-def _degrees(study: RegionStudy) -> Iterator[Row]:
+def _degrees(study: RegionStudy) -> Iterator[Claim]:
     degrees, known, left_out, _ = np.array(study.degrees).T
     name, best = study.region.name, int(degrees[np.argmin(left_out)])
-    falls = float(np.max(known[1:] / known[:-1]))
-    yield f"C7 correction, {name}: identification error, degree n+1 over n", "below 1", falls, "< 1"
-    yield (
-        f"C7 correction, {name}: error of a flight left out, degree 5 over the best",
-        "1: degree 5 is best", float(left_out[-1] / left_out.min()), "< 1.001",
-        f"best: degree {best}; higher ones fit better and validate worse",
-    )  # fmt: skip
+    yield _claim("C7_known", float(np.max(known[1:] / known[:-1])), name=name)
+    yield _claim("C7_best", float(left_out[-1] / left_out.min()), name=name, best=best)
 
 
-def _starts(steps: Sequence[Scaled]) -> Iterator[Row]:
+def _starts(steps: Sequence[Scaled]) -> Iterator[Claim]:
     start = {n: float(np.median([s.scales[n].start for s in steps])) for n in OUTPUTS}
-    yield "C9 ratio of FPR at the step", "about 0.94", start["FPR"], ">= 0.9"
+    yield _claim("C9_FPR", start["FPR"])
     for name in OUTPUTS[1:]:
-        yield f"C9 ratio of {name} at the step", "below 0.90", start[name], "< 0.9"
-    yield (
-        "C9 thrust starts slowest: its t10 over the latest other", "above 1",
-        _latest(steps, "FN_kN", _early), ">= 1", "FPR starts later: it follows N1 alone",
-    )  # fmt: skip
-    late = _latest(steps, "EGT_C", _settling)
-    yield "C9 ITT settles last: its time to 2 % over the latest other", "above 1", late, ">= 1"
-    end = float(np.median([s.scales["FF_kgph"].end for s in steps]))
-    remark = "metal still takes up heat; the paper names a static error of 2 %"
-    yield "C9 ratio of fuel in the end", "above 1", end, ">= 1", remark
+        yield _claim("C9_start", start[name], name=name)
+    yield _claim("C9_thrust", _latest(steps, "FN_kN", _early))
+    yield _claim("C9_ITT", _latest(steps, "EGT_C", _settling))
+    yield _claim("C9_fuel", float(np.median([s.scales["FF_kgph"].end for s in steps])))
 
 
-def _steps(rows: Sequence[DynamicRow]) -> Iterator[Row]:
+def _steps(rows: Sequence[DynamicRow]) -> Iterator[Claim]:
     grey = (_FIRST, _DELAYED, _SECOND)
     least = min(r.identified_pct for r in rows if r.kind == "step" and r.model in grey)
-    remark = "ours start with a delay, for which a first order has no parameter"
-    yield "C10 step: least identification success, grey", "100 %", least, ">= 100 %", remark
+    yield _claim("C10_known", least)
     best = np.argmin([_all(rows, "step", m) for m in grey], axis=0)
-    what = "C10 step: outputs but fuel with the least error by delayed first order"
-    yield what, "4", float(np.sum(best[:-1] == 1)), ">= 4"
-    success = {m: _all(rows, "step", m, "success_pct").mean() for m in (*grey, "1/O O/3")}
-    gap = success[_FIRST] - success[_DELAYED]
-    yield "C10 step: success, first order less delayed first order", "above 0", gap, ">= 0 %"
-    gap = success["1/O O/3"] - max(success[m] for m in grey)
-    yield "C10 step: success, 1/O O/3 less the best grey box", "below 0", gap, "< 0 %"
+    yield _claim("C10_delayed", float(np.sum(best[:-1] == 1)))
+    success = {m: _all(rows, "step", m, "success_pct").mean() for m in (*grey, _ONE)}
+    yield _claim("C10_first", success[_FIRST] - success[_DELAYED])
+    yield _claim("C10_box", success[_ONE] - max(success[m] for m in grey))
 
 
-def _impulses_and_ramps(rows: Sequence[DynamicRow]) -> Iterator[Row]:
-    first, second, many, three = (
-        _all(rows, "impulse", m) for m in (_FIRST, _SECOND, "5/O O/5 (C = I)", "1/O O/3")
-    )
-    ratio = first.mean() / second.mean()
-    yield "C11 impulse: mean error, first over second order", "below 1", ratio, "< 1"
-    ratio = first.mean() / three.mean()
-    yield "C11 impulse: mean error, first order over 1/O O/3", "below 1", ratio, "< 1"
-    what = "C11 impulse: largest mean error of 5/O O/5 (C = I)"
-    step, ramp = (_all(rows, kind, "5/O O/5 (C = I)").max() for kind in ("step", "ramp"))
-    remark = f"steps {step:.3g} %, ramps {ramp:.3g} %"
-    yield what, "divergent", float(many.max()), ">= 100 %", remark
+def _impulses_and_ramps(rows: Sequence[DynamicRow]) -> Iterator[Claim]:
+    first, second, many, three = (_all(rows, "impulse", m) for m in (_FIRST, _SECOND, _WIDE, _ONE))
+    yield _claim("C11_second", first.mean() / second.mean())
+    yield _claim("C11_box", first.mean() / three.mean())
+    others = {kind: _all(rows, kind, _WIDE).max() for kind in ("step", "ramp")}
+    yield _claim("C11_most", float(many.max()), **others)
     ramp, step = _all(rows, "ramp", _DELAYED), _all(rows, "step", _DELAYED)
-    ratio = ramp.mean() / step.mean()
-    yield "C12 mean error of delayed first order, ramp over step", "above 1", ratio, ">= 1"
+    yield _claim("C12_ramp", ramp.mean() / step.mean())
     ratios = ramp / _all(rows, "ramp", _SECOND)
-    what = "C12 ramp: mean error, delayed first over second order, all but fuel"
-    yield what, "below 1", float(ratios[:-1].mean()), "< 1"
-    yield "C12 ramp: the same for fuel", "above 1", float(ratios[-1]), ">= 1"
+    yield _claim("C12_second", float(ratios[:-1].mean()))
+    yield _claim("C12_fuel", float(ratios[-1]))
     worst = max(row.worst_pct for row in rows if row.kind == "ramp" and row.model == STATIC)
-    remark = "ours takes 5 s; the paper's duration is lost"
-    yield "C12 ramp: largest error of the static model", "at most 4.5 %", worst, "< 4.5 %", remark
+    yield _claim("C12_static", worst)
 
 
-def _orders(rows: Sequence[DynamicRow], tables: Sequence[Tables]) -> Iterator[Row]:
-    one, modal, free = (
-        _all(rows, "step", m).mean() for m in (_FIRST, "5/O O/5", "5/O O/5 (C = I)")
-    )
-    yield "C13 step: mean error, 1 parameter over 30 (C = I)", "below 1", one / free, "< 1"
-    remark = f"mean errors {one:.3g} %, modal {modal:.3g} %, C = I {free:.3g} %"
-    yield "C13 step: mean error, 1 parameter over 30 (modal)", "below 1", one / modal, "< 1", remark
-    pair = ("5/O O/5 (C = I)", "+".join(OUTPUTS)), ("1/O O/4 (canonical)", "FN_kN")
+def _orders(rows: Sequence[DynamicRow], tables: Sequence[Tables]) -> Iterator[Claim]:
+    one, modal, free = (_all(rows, "step", m).mean() for m in (_FIRST, "5/O O/5", _WIDE))
+    yield _claim("C13_free", one / free)
+    yield _claim("C13_modal", one / modal, one=one, modal=modal, free=free)
+    pair = (_WIDE, "+".join(OUTPUTS)), ("1/O O/4 (canonical)", "FN_kN")
     wide, narrow = np.mean([[_variation(t[key][..., 0]) for key in pair] for t in tables], axis=0)
-    what = "C13 variation of A11 over the mesh, 5/O O/5 over 1/O O/4"
-    yield what, "above 1", float(wide / narrow), ">= 1"
+    yield _claim("C13_A11", float(wide / narrow))
 
 
 def cold_share(engines: Engines, study: RegionStudy) -> float:
@@ -256,28 +220,6 @@ def _settling(y: FloatArray) -> float:
     """Time after which y stays within 2 % of its end."""
     out = np.flatnonzero(np.abs(y - 1.0) > 0.02)
     return T_S * (float(out[-1]) + 1.0) if len(out) else 0.0
-
-
-CONTRADICTIONS = (
-    (
-        "The conclusion says that the laws of Mattingly, Torenbeek, Wanner and Aerospatiale give "
-        "gross thrust; the originals of the first two are laws of net thrust. They are fitted with "
-        "and without drag."
-    ),
-    (
-        "Section 4.3 takes C = I, which needs as many outputs as states, and shows one output of "
-        "order 4, which needs a canonical form with 2 n parameters. Both are fitted."
-    ),
-    (
-        "Equations 1 to 3 disturb at t = 1 s, the text of section 2.3.2 at t = 0. The onset is "
-        "explicit here, and times count from it."
-    ),
-    (
-        "b_1 and b_2 of equation 17 are 0 or 1: with the usual constants (0.73, 1.50) the second "
-        "moment of such a swarm diverges. P = 0.75 is used with these draws."
-    ),
-    "The conclusion takes the exception of C4 from Table 10, which is ITT: Table 11 is meant.",
-)
 
 
 def reproduce(

@@ -22,7 +22,7 @@ from eval.report import figures
 from eval.report.style import Picture, unit
 from eval.report.tables import Table, figure
 from eval.reproduce.data import DataSets, Effort, NetworkFit, cut, fit_all, within
-from eval.reproduce.study import NOT_ABOVE_ONE, Claim, Study, table_of
+from eval.reproduce.study import Claim, Study, claim, table_of
 from eval.scores import max_relative_percent, rmse
 from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.calibration import steady_for_engine
@@ -80,7 +80,7 @@ def inputs(data: DataSets, effort: Effort) -> Study:
         text=f"A plain NARX network from the inputs to {symbol(output)}, without a steady-state "
         "model; free run over whole test data sets, started from their first measured samples. "
         f"Test: data sets {data.labels(data.split.test)}.",
-        claims=[_criterion(found[-1], output), _order(found, best, output)],
+        claims=_claims(found, best, output),
         tables=[_table(data, found, output)],
         pictures=_pictures(data, found, output),
         results={"output": output, "variants": [_row(data, one) for one in found]},
@@ -134,19 +134,13 @@ def _start(measured: FloatArray, lags: int) -> FloatArray:
     return np.where(np.isfinite(measured[:lags]), measured[:lags], first)[:, None]
 
 
-def _criterion(one: Variant, output: str) -> Claim:
-    what = f"MSE of {symbol(output)}, multiple data and inputs, over all test data sets"
-    remark = "a free run over whole data sets, not one-step and not event by event"
-    limit = f"< {CRITERION:g} ({unit(output)})²"
-    return Claim(what, f"< {CRITERION:g}", one.pooled, limit, remark)
-
-
-def _order(found: Sequence[Variant], best: Variant, output: str) -> Claim:
-    last = found[-1]
-    what = f"MSE of {symbol(output)}, multiple data and inputs, over the best variant's"
+def _claims(found: Sequence[Variant], best: Variant, output: str) -> list[Claim]:
+    last, name = found[-1], symbol(output)
     remark = "" if best is last else f"the best is: {best.name}"
-    ratio = last.pooled / best.pooled
-    return Claim(what, "1 (it is the best of the four)", ratio, NOT_ABOVE_ONE, remark)
+    return [
+        claim("narx-paper", "mse", last.pooled, name=name, unit=unit(output)),
+        claim("narx-paper", "best", last.pooled / best.pooled, name=name, remark=remark),
+    ]
 
 
 def _table(data: DataSets, found: Sequence[Variant], output: str) -> Table:
@@ -205,10 +199,12 @@ def deviations(data: DataSets, bundle: Bundle, effort: Effort) -> Study:
         "measured ones of the sample before, except in the last variant, which simulates them and "
         "has lags in front of its network where [narx] lag says so.",
         claims=[
-            Claim(
-                f"Largest relative error of {symbol(output)}: {one.name}",
-                f"< {LIMIT_PCT:g} %",
+            claim(
+                "narx-paper",
+                "deviation",
                 one.max_rel_pct,
+                name=symbol(output),
+                variant=one.name,
                 remark=remark,
             )
             for one, remark in (

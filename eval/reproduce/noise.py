@@ -1,51 +1,167 @@
-"""Studies of the flights, and of noise.
+"""Section 3.3 of the paper: N2 with strong noise, fused with the model and fed to the network.
 
-`correlation`: tables 1 and 2 of the paper. `smoothing`: section 2.4, moving averages compared.
-`segments`: sections 2.5 and 3.1, pushes and pulls cut out of the flights. `noise`: section 3.3, N2
-with strong noise, fused with the model and fed to the network.
+Gaussian noise is added to the smoothed high-pressure speed, the noisy signal is fused with the
+model's free run, and the network is fed with either in turn (figure 13). The signal-to-noise ratio
+is `10 log10(mean square of the signal / noise variance)`, as in MATLAB's `awgn(..., "measured")`;
+the paper does not say whether its power is that of the signal or of its variance, which gives some
+17 dB less noise on a spool speed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
 
-from data_prep.events import PULL, PUSH
 from data_prep.log import Log
-from data_prep.ranking import STRONG, flight_table, is_strong
-from data_prep.smooth import cutoff_hz, frequency_response, moving_average
-from eval.denoising import (
-    CURVES,
-    Flight,
-    NoiseSweep,
-    SweepConfig,
-    flight_of,
-    noisy,
-    snr_sweep,
-    summarise,
-)
-from eval.preparation import WINDOWS, LogReport
+from data_prep.prepare import hold_inputs
 from eval.report import figures, tables
-from eval.report.style import Picture, unit, with_unit
-from eval.report.tables import Cell, Table, figure
-from eval.reproduce.data import DataSets, Effort, numbered, truth_of
-from eval.reproduce.study import NOT_ABOVE_ONE, Claim, Study, table_of
+from eval.report.style import Picture
+from eval.reproduce.data import DataSets, Effort, numbered
+from eval.reproduce.study import Claim, Study, claim
 from eval.scores import rms
 from narxcal.calibration.bundle import Bundle
-from narxcal.calibration.fuser import FastFuser
+from narxcal.calibration.fuser import FastFuser, FusedRun
+from narxcal.calibration.fuser_config import FuserConfig
 from narxcal.calibration.noise import estimate_noise
 from narxcal.channels import symbol
 from narxcal.support.arrays import FloatArray
 from narxcal.support.progress import Progress, silent
 
-PAPER_SETS = (2, 9, 10)
+NOISE_SETS = (2, 9, 10)
 SNR_DB = (25.0, 30.0, 35.0, 40.0, 44.0)  # all below the paper's 45 dB
 SHOWN_DB = 35.0
 _SHOWN_S = 20.0
+# Columns of the sweep that are errors, by what they are errors of.
+CURVES: Final = {
+    "raw": "raw measurement",
+    "fused": "fused",
+    "free_run": "free run",
+    "fed_raw": "one step from raw",
+    "fed_fused": "one step from fused",
+}
+
+
+@dataclass(frozen=True)
+class SweepConfig:
+    """Which noise is added, and how often."""
+
+    channel: str = "N2_pct"
+    snr_db: tuple[float, ...] = SNR_DB
+    seeds: tuple[int, ...] = (0, 1, 2)
+    fuser: FuserConfig = field(default_factory=FuserConfig)
+
+
+@dataclass(frozen=True, eq=False)
+class Flight:
+    """One log of the experiment, all `(time, n_out)` in the channels' units.
+
+    `truth` are the smoothed measurements (NaN where there is none), `free_run` the model's
+    own simulation. `feed` is its one-step prediction from a measured history.
+    """
+
+    names: tuple[str, ...]
+    dt_s: float
+    truth: FloatArray
+    free_run: FloatArray
+    feed: Callable[[FloatArray], FloatArray]
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseSweep:
+    """The experiment on one log; `table` is that of `summarise`."""
+
+    log: str
+    channel: str
+    table: pd.DataFrame
+
+    @property
+    def curves(self) -> dict[str, FloatArray]:
+        """Label -> RMSE at each ratio (snr,)."""
+        return {
+            label: self.table[name].to_numpy(dtype=np.float64) for name, label in CURVES.items()
+        }
+
+
+def flight_of(bundle: Bundle, log: Log) -> Flight:
+    """The experiment's view of one prepared log: its outputs as truth, the bundle's free run."""
+    own = bundle.calibration.for_engine(log.source.engine, or_mean=True)
+    inputs = hold_inputs(log, own.input_names).matrix(own.input_names)
+    truth = log.matrix(own.output_names)
+    return Flight(
+        names=own.output_names,
+        dt_s=own.dt_s,
+        truth=truth,
+        free_run=own.simulate(inputs, truth[0]),
+        feed=lambda history: own.predict(inputs, history),
+    )
+
+
+def snr_sweep(flight: Flight, config: SweepConfig) -> pd.DataFrame:
+    """One row per ratio and seed, RMSE against the truth in the channel's unit.
+
+    Columns: `snr_db`, `seed`, `noise_sd`; `raw`, `fused` and `free_run` (the model alone);
+    `fed_raw` and `fed_fused`, the network's one-step prediction from either history; `mean_nis`
+    with its 95 % bounds `nis_low` and `nis_high`. R and Q are estimated from each noisy signal;
+    nothing is tuned, and the ratio is not used.
+    """
+    at = flight.names.index(config.channel)
+    return pd.DataFrame(
+        {"snr_db": snr, "seed": seed, **_trial(flight, at, (snr, seed), config)}
+        for snr in config.snr_db
+        for seed in config.seeds
+    )
+
+
+def summarise(sweep: pd.DataFrame) -> pd.DataFrame:
+    """Per ratio: means over the seeds."""
+    return sweep.drop(columns="seed").groupby("snr_db", sort=True).mean().reset_index()
+
+
+def noisy(truth: FloatArray, setting: tuple[float, int]) -> tuple[FloatArray, float]:
+    """Add noise at `setting` (ratio in dB, seed) to `truth` `(time,)`; also its deviation."""
+    snr_db, seed = setting
+    # A stream per ratio: the same seed at two ratios must not give the same noise twice.
+    rng = np.random.default_rng([seed, round(10 * snr_db) % 2**32])
+    strength = np.mean(truth[np.isfinite(truth)] ** 2)
+    deviation = float(np.sqrt(strength / 10.0 ** (snr_db / 10.0)))
+    return np.asarray(truth + deviation * rng.normal(size=truth.shape)), deviation
+
+
+def _fused(flight: Flight, at: int, measured: FloatArray, config: SweepConfig) -> FusedRun:
+    free_run = flight.free_run[:, at]
+    found = estimate_noise(measured, free_run, flight.dt_s, (config.channel,))
+    return FastFuser(found, config.fuser).run(free_run[:, None], measured[:, None])
+
+
+def _trial(
+    flight: Flight, at: int, setting: tuple[float, int], config: SweepConfig
+) -> dict[str, float]:
+    truth, free_run = flight.truth[:, at], flight.free_run[:, at]
+    measured, deviation = noisy(truth, setting)
+    run = _fused(flight, at, measured, config)
+    fused, check = run.values[:, 0], run.consistency()  # noqa: PD011 -- no data frame
+    return {
+        "noise_sd": deviation,
+        "raw": rms(measured - truth),
+        "fused": rms(fused - truth),
+        "free_run": rms(free_run - truth),
+        "fed_raw": _fed(flight, at, measured),
+        "fed_fused": _fed(flight, at, fused),
+        "mean_nis": check.mean_nis,
+        "nis_low": check.low,
+        "nis_high": check.high,
+    }
+
+
+def _fed(flight: Flight, at: int, history: FloatArray) -> float:
+    """RMSE of the one-step prediction when `history` takes the channel's place in the register."""
+    measured = flight.truth.copy()
+    measured[:, at] = history
+    return rms(flight.feed(measured)[:, at] - flight.truth[:, at])
 
 
 def noise(
@@ -57,7 +173,7 @@ def noise(
     """Sweep the noise over the paper's data sets."""
     config = sweep_config(data, effort)
     found: dict[str, pd.DataFrame] = {}
-    logs = numbered(data, PAPER_SETS)
+    logs = numbered(data, NOISE_SETS)
     for count, log in enumerate(logs):
         progress(count, len(logs))
         found[data.label(log.name)] = summarise(snr_sweep(flight_of(bundle, log), config))
@@ -89,7 +205,7 @@ def sweep_config(data: DataSets, effort: Effort) -> SweepConfig:
     """N2 (the last speed there is); fewer seeds where the effort is cut."""
     seeds = (0,) if effort.iterations else (0, 1, 2)
     channel = data.speeds[-1]
-    return SweepConfig(channel=channel, snr_db=SNR_DB, seeds=seeds, fuser=data.config.fuser)
+    return SweepConfig(channel, seeds=seeds, fuser=data.config.fuser)
 
 
 def share_better(found: Mapping[str, pd.DataFrame], better: str, worse: str) -> float:
@@ -99,19 +215,14 @@ def share_better(found: Mapping[str, pd.DataFrame], better: str, worse: str) -> 
 
 
 def _claims(found: Mapping[str, pd.DataFrame]) -> list[Claim]:
-    ratios = "Signal-to-noise ratios and data sets at which "
-    pairs = (
-        ("the network fed with the fused signal is nearer to the truth than fed with the noisy one",
-         "paper", "fed_fused", "fed_raw"),
-        ("the fused signal is nearer to the truth than the noisy one", "paper", "fused", "raw"),
-        ("the fused signal is nearer to the truth than the free run", "our goal", "fused",
-         "free_run"),
-    )  # fmt: skip
     claims = []
-    for words, origin, better, worse in pairs:
+    for key, better, worse in (
+        ("fed", "fed_fused", "fed_raw"), ("fused", "fused", "raw"),
+        ("free_run", "fused", "free_run"),
+    ):  # fmt: skip
         share = share_better(found, better, worse)
         remark = "" if share >= 100.0 else _lost(found, better, worse)
-        claims.append(Claim(ratios + words, "all", share, ">= 100 %", remark, origin))
+        claims.append(claim("narx-paper", key, share, remark=remark))
     return claims
 
 
@@ -132,11 +243,9 @@ def _rows(table: pd.DataFrame) -> list[dict[str, Any]]:
 def _excerpt(data: DataSets, log: Log, flight: Flight, config: SweepConfig) -> Picture:
     """Some seconds round the first event, at one ratio: figure 13."""
     at = flight.names.index(config.channel)
-    truth, free_run = flight.truth[:, at], flight.free_run[:, at]
-    measured = noisy(truth, (SHOWN_DB, config.seeds[0]), config.power)
-    estimated = estimate_noise(measured, free_run, flight.dt_s, (config.channel,))
-    run = FastFuser(estimated, config.fuser).run(free_run[:, None], measured[:, None])
-    curves = {"with noise": measured, "fused": run.values[:, 0], "smoothed": truth}  # noqa: PD011
+    measured, _ = noisy(flight.truth[:, at], (SHOWN_DB, config.seeds[0]))
+    fused = _fused(flight, at, measured, config).values[:, 0]  # noqa: PD011 -- no data frame
+    curves = {"with noise": measured, "fused": fused, "smoothed": flight.truth[:, at]}
     rows = _shown(data, log)
     caption = f"Data set {data.label(log.name)} at {SHOWN_DB:g} dB."
     shown = {name: values[rows] for name, values in curves.items()}
@@ -147,228 +256,3 @@ def _shown(data: DataSets, log: Log) -> slice:
     events: Sequence[Any] = data.prepared[data.number(log.name) - 1].events
     start = events[0].start if events else 0
     return slice(max(0, start - round(2.0 / log.dt_s)), start + round(_SHOWN_S / log.dt_s))
-
-
-CHOSEN = 11
-_CHANGE_S = 0.5  # over which the change of a signal is taken, the same for every window
-_FAST = 0.95  # the twentieth of the samples that move fastest
-
-
-def smoothing(data: DataSets) -> Study:
-    """Compare the windows by RMS error and by frequency response."""
-    known = all(truth_of(data, log, data.speeds[0]) is not None for log in data.raw)
-    rows = [row for name in data.config.narx.outputs for row in _channel(data, name, known=known)]
-    against = "its value without sensors" if known else "the unsmoothed signal"
-    return Study(
-        key="smoothing",
-        title="Width of the moving average",
-        source="section 2.4, figures 4 and 5",
-        text=f"RMS of the smoothed signal against {against}, pooled over the data sets; 'moving' "
-        "is over the twentieth of the samples that move fastest within half a second. "
-        + ("" if known else "The truth of a real flight is not known: this RMS can only grow with "
-           "the window, and measures how much is removed, noise and signal together."),
-        claims=[_window_claim(rows, name) for name in data.config.narx.outputs] if known else [],
-        tables=[_smoothing_table(rows)],
-        pictures=[figures.windows(data.prepared[0].trial)],
-        results={"against_truth": known, "windows": rows},
-    )  # fmt: skip
-
-
-def errors(data: DataSets, name: str, window: int) -> tuple[FloatArray, FloatArray]:
-    """Smoothed minus truth (the raw signal where there is none), and the change of that reference.
-
-    Both (time,) over all data sets; NaN where samples are missing.
-    """
-    error, change = [], []
-    for log in data.cleaned:
-        raw, truth = log[name], truth_of(data, log, name)
-        reference = raw if truth is None else truth
-        error.append(moving_average(raw, window) - reference)
-        change.append(_change(reference, log))
-    return np.concatenate(error), np.concatenate(change)
-
-
-def _change(values: FloatArray, log: Log) -> FloatArray:
-    """Size of the change (time,) over half a second round each sample."""
-    span = max(1, round(0.5 * _CHANGE_S / log.dt_s))
-    padded = np.concatenate((np.full(span, np.nan), values, np.full(span, np.nan)))
-    return np.asarray(np.abs(padded[2 * span :] - padded[: -2 * span]))
-
-
-def _channel(data: DataSets, name: str, *, known: bool) -> list[dict[str, Any]]:
-    windows = (1, *WINDOWS) if known else WINDOWS
-    dt_s, rows = data.raw[0].dt_s, []
-    for window in windows:
-        error, change = errors(data, name, window)
-        fast = change >= np.nanquantile(change, _FAST)
-        gain = frequency_response(window, np.array([1.0]), dt_s)
-        rows.append(
-            {
-                "channel": name,
-                "window": window,
-                "rms": rms(error),
-                "rms_moving": rms(error[fast]),
-                "rms_rest": rms(error[~fast]),
-                "cutoff_hz": cutoff_hz(window, dt_s),
-                "gain_1_hz": float(gain[0]),
-            }
-        )
-    return rows
-
-
-def best_window(rows: list[dict[str, Any]], name: str) -> int:
-    """Window of those compared with the least RMS in one channel."""
-    own = [row for row in rows if row["channel"] == name and row["window"] in WINDOWS]
-    return int(min(own, key=lambda row: float(row["rms"]))["window"])
-
-
-def _window_claim(rows: list[dict[str, Any]], name: str) -> Claim:
-    own = {row["window"]: row["rms"] for row in rows if row["channel"] == name}
-    best = best_window(rows, name)
-    lost = f"{best} samples leave {own[best]:.3g} {unit(name)} and {CHOSEN} leave {own[CHOSEN]:.3g}"
-    return Claim(
-        f"RMS error of {symbol(name)} with {CHOSEN} samples, over that with the best window",
-        "1 (11 is the best of 3, 11 and 21)",
-        own[CHOSEN] / own[best],
-        NOT_ABOVE_ONE,
-        "" if best == CHOSEN else f"{lost}: how noisy the sensor is decides",
-    )
-
-
-def _smoothing_table(rows: list[dict[str, Any]]) -> Table:
-    head = (
-        "channel", "window", "RMS", "RMS moving", "RMS elsewhere", "-3 dB at [Hz]", "gain at 1 Hz",
-    )  # fmt: skip
-    best = {row["channel"]: best_window(rows, row["channel"]) for row in rows}
-    cells = [
-        (
-            with_unit(row["channel"]),
-            Cell("none" if row["window"] == 1 else str(row["window"]), number=True),
-            figure(row["rms"], "best" if row["window"] == best[row["channel"]] else ""),
-            *(row[key] for key in ("rms_moving", "rms_rest", "cutoff_hz", "gain_1_hz")),
-        )
-        for row in rows
-    ]
-    return table_of("Moving averages compared; the least RMS is marked", head, cells)
-
-
-PAPER_SEGMENTS = 152
-SEGMENT_SETS = 10
-
-
-def segments(data: DataSets) -> Study:
-    """Count the events, and draw every one of them."""
-    pushes = sum(event.label == PUSH for one in data.prepared for event in one.events)
-    return Study(
-        key="segments",
-        title="Segments cut at the lever's movements",
-        source="sections 2.5 and 3.1, figures 6 to 9",
-        text="Each event runs from the last sample before the lever moves to where lever and "
-        "speeds have settled. Label 0 is a push, 1 a pull.",
-        claims=[
-            Claim(
-                "Data sets",
-                f"{PAPER_SETS}",
-                len(data.logs),
-                f">= {SEGMENT_SETS}",
-                "the user's own data" if len(data.logs) < SEGMENT_SETS else "",
-            ),
-            Claim(
-                "Segments in which the lever is pushed",
-                f"{PAPER_SEGMENTS}",
-                pushes,
-                f">= {PAPER_SEGMENTS}",
-                "more or fewer than the paper's is no merit; every one is used"
-                if pushes != PAPER_SEGMENTS
-                else "",
-            ),
-        ],
-        tables=[_segment_table(data)],
-        pictures=_firsts(data),
-        sheets=[one.view() for one in data.prepared],
-        results={"pushes": pushes, "data_sets": [_row(data, one) for one in data.prepared]},
-    )
-
-
-def _row(data: DataSets, one: LogReport) -> dict[str, Any]:
-    return {"data_set": data.number(one.log.name), "log": one.log.name, **one.counts()}
-
-
-def _segment_table(data: DataSets) -> Table:
-    keys = ("found", "push", "pull", "fast", "slow", "small", "settled", "interrupted")
-    rows: list[tuple[str | int | Cell, ...]] = [
-        (data.number(one.log.name), _role(data, one.log), *(one.counts()[key] for key in keys))
-        for one in data.prepared
-    ]
-    table = table_of("Events per data set", ("data set", "role", *keys), rows)
-    total = [sum(one.counts()[key] for one in data.prepared) for key in keys]
-    last = Cell("all", "strong"), Cell(""), *(Cell(str(n), "strong", number=True) for n in total)
-    return replace(table, rows=(*table.rows, last))
-
-
-def _role(data: DataSets, log: Log) -> str:
-    parts = {"train": data.split.train, "validate": data.split.validate, "test": data.split.test}
-    return next((name for name, logs in parts.items() if log.name in {x.name for x in logs}), "")
-
-
-def _firsts(data: DataSets) -> list[Picture]:
-    """The first fast push and the first fast pull of the first data set that has one."""
-    drawn = []
-    for label in (PUSH, PULL):
-        for one in data.prepared:
-            fast = [each for each in one.events if each.label == label and each.speed == "fast"]
-            if fast:
-                names = (data.config.events.driver, *data.speeds)
-                what = f"First {'push' if label == PUSH else 'pull'}, data set "
-                title = what + str(data.number(one.log.name))
-                drawn.append(figures.segment(one.log, fast[0], names, title))
-                break
-    return drawn
-
-
-def correlation(data: DataSets) -> Study:
-    """Correlate the spool speeds with the four inputs over each data set."""
-    lever = data.config.events.driver
-    found = {name: flight_table(data.logs, data.inputs, name) for name in data.speeds}
-    return Study(
-        key="correlation",
-        title="Which input drives the engine",
-        source="section 2.5, tables 1 and 2",
-        text=f"Pearson's coefficient over each whole data set. |rho| of {STRONG:g} or more counts "
-        "as strong, as in the paper.",
-        claims=[_correlation_claim(lever, name, table) for name, table in found.items()],
-        tables=[_correlation_table(name, table) for name, table in found.items()],
-        results={"pearson": {name: _correlation_rows(table) for name, table in found.items()}},
-    )
-
-
-def leading(table: pd.DataFrame, lever: str) -> np.ndarray:
-    """Mark the data sets (rows) in which `lever` is strong and no other input is stronger."""
-    size = table.abs().fillna(0.0)
-    best = size[lever] >= size.max(axis=1)
-    return np.asarray(best & is_strong(table)[lever])
-
-
-def _correlation_claim(lever: str, name: str, table: pd.DataFrame) -> Claim:
-    first = leading(table, lever)
-    weak = [f"{table[lever].iloc[row]:+.2f}" for row in np.flatnonzero(~first)]
-    return Claim(
-        f"Data sets in which {symbol(lever)} is the strongest correlate of {symbol(name)} "
-        "and a strong one",
-        "all",
-        100.0 * float(first.mean()),
-        ">= 100 %",
-        f"elsewhere its rho is {', '.join(weak)}: altitude and Mach move the speeds too, "
-        "over data sets that climb" if weak else "",
-    )  # fmt: skip
-
-
-def _correlation_table(name: str, table: pd.DataFrame) -> Table:
-    numbered = table.set_axis(range(1, len(table) + 1))
-    found = tables.pearson(numbered, f"Pearson's coefficient with {symbol(name)}", STRONG)
-    return replace(found, head=("data set", *found.head[1:]))
-
-
-def _correlation_rows(table: pd.DataFrame) -> list[dict[str, Any]]:
-    rows = enumerate(table.to_dict(orient="records"), 1)
-    return [{"data_set": number} | {str(k): v for k, v in row.items()} for number, row in rows]

@@ -14,13 +14,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 import numpy as np
 from scipy.stats import binom, norm
 
 from eval.report.tables import Cell, Table, figure
-from eval.reproduce.study import Claim, Study, table_of
+from eval.reproduce.study import Claim, Study, claim, table_of
 from narxcal.output_error.engine import (
     DuctPressures,
     EngineAndControl,
@@ -47,6 +48,7 @@ from training.output_error import Model, Plan, fit
 from training.output_error_result import OutputErrorFit
 
 LEVEL: Final = 0.9
+_claim = partial(claim, "spey")
 SIDES: Final[tuple[Side, Side]] = ("left", "right")
 Estimates = Mapping[str, tuple[float, float]]
 
@@ -230,13 +232,10 @@ def _coverage_claims(shares: Mapping[str, float]) -> list[Claim]:
     each = {name: share for name, share in shares.items() if name not in ("pooled", "tau_engine")}
     low, high = min(each, key=each.__getitem__), max(each, key=each.__getitem__)
     return [
-        Claim("Coverage of 90 % intervals, pooled: distance from 90 %", "88 to 92 %",
-              abs(shares["pooled"] - 90.0), "<= 2 %", f"{shares['pooled']:.1f} %", "goal"),
-        Claim("Coverage of the parameter covered least", "82 to 97 %", each[low], ">= 82 %", low,
-              "goal"),
-        Claim("Coverage of the parameter covered most", "82 to 97 %", each[high], "<= 97 %", high,
-              "goal"),
-    ]  # fmt: skip
+        _claim("pooled", abs(shares["pooled"] - 90.0), share=shares["pooled"]),
+        _claim("least", each[low], name=low),
+        _claim("most", each[high], name=high),
+    ]
 
 
 def _test_claims(trials: Sequence[Trial]) -> list[Claim]:
@@ -250,19 +249,11 @@ def _test_claims(trials: Sequence[Trial]) -> list[Claim]:
     limit = 100.0 * float(binom.ppf(0.95, len(trials), 0.05) / len(trials))
     birge = float(np.median([max(one.birge for one in each.runs.values()) for each in trials]))
     return [
-        Claim("Seeds in which the 35 % of tau_H are significant", "all", 100.0 * float(power),
-              ">= 100 %", origin="goal"),
-        Claim("Seeds in which any of the equal parameters is called different", "5 %",
-              100.0 * float(false), f"<= {limit} %",
-              "the bound is the 95 % limit for this many seeds", "goal"),
-        Claim("S12 error over a record not used, in sensor deviations, worst output and seed",
-              "predicted well", max(one.predicted for one in trials), "< 1.1",
-              "1 is the sensor noise alone"),
-        Claim("S10 Birge ratio of records that noise and the meter at the input explain",
-              "9 to 22 in Table 3", birge, ">= 9",
-              "largest of 10 parameters, median of seeds: the meter's lag and noise bias "
-              "all records alike and leave the scatter of Table 3 unexplained"),
-    ]  # fmt: skip
+        _claim("power", 100.0 * float(power)),
+        _claim("false", 100.0 * float(false), limit=limit),
+        _claim("S12", max(one.predicted for one in trials)),
+        _claim("S10_meter", birge),
+    ]
 
 
 def _coverage_table(
@@ -334,24 +325,12 @@ def _table_claims(combined: Mapping[str, Combined]) -> list[Claim]:
     ratio = [_ratio(_ROW["tau_L"].side(side), _ROW["tau_H"].side(side)) for side in SIDES]
     worst = max(abs(value - 1.5) / sd for value, sd in ratio)
     return [
-        Claim("S3 tau_engine differs from tau_H / (K_AF C_FB) by", "0.65 and 0.89 s", closed,
-              "< 0.005 s",
-              "holds only with the rows of equation 1 divided by tau and C_FB = C_FH"),
-        Claim("S5 rows of Table 3 whose weighted mean is within one +- of Table 4", "all of 10",
-              len(agree), ">= 10",
-              "the pressure rows do not combine to Table 4: they stem from another step or "
-              f"other records. Those that do: {', '.join(agree)}"),
-        Claim("S6 differential response 50 % slower: largest |tau_L/tau_H - 1.5| in deviations",
-              "1.5 for both engines", worst, "< 1.96",
-              f"{ratio[0][0]:.2f} left, {ratio[1][0]:.2f} right: true of their mean only"),
-        Claim("S9 flow lags negligible: change of P_D by tau_D = 0.05 s, share of sensor noise",
-              "small", _effect_of_duct_lag(), "< 1",
-              "RMS over the doublets of 5 deg; tau_E = 0 is read from a printed 1/tau_E = 0"),
-        Claim("S10 white noise, no process noise: largest Birge ratio of Table 3", "repeatable",
-              max(one.birge for one in combined.values()), f"< {math.sqrt(5.99 / 2.0)}",
-              "scatter between records far above the reported deviations (5 % limit for three "
-              "records 1.73): something unmodelled differs between them"),
-    ]  # fmt: skip
+        _claim("S3", closed),
+        _claim("S5", len(agree), listed=", ".join(agree)),
+        _claim("S6_ratio", worst, left=ratio[0][0], right=ratio[1][0]),
+        _claim("S9", _effect_of_duct_lag()),
+        _claim("S10_records", max(one.birge for one in combined.values())),
+    ]
 
 
 def _ratio(a: tuple[float, float], b: tuple[float, float]) -> tuple[float, float]:
@@ -378,20 +357,12 @@ def _difference_claims(differences: Sequence[Difference]) -> list[Claim]:
         for one in far
     )
     tau_H = of["tau_H"]
+    equal = (("S6_same", "tau_L"), ("S7", "a_fixed"), ("S8", "C_FH"))
     return [
-        Claim("S2 tau_H right above left: family-wise p", "35 %, significant", tau_H.p_holm,
-              "< 0.05", f"{tau_H.percent:.1f} %, z = {tau_H.z:.2f}"),
-        Claim("S4 other parameters that differ by more than 10 %", "none", len(far), "< 1",
-              f"Table 4 says otherwise: {listed}"),
-        *(
-            Claim(f"{what}: |z| of {shown}", "equal", abs(of[name].z), "< 1.96", remark)
-            for what, shown, name, remark in (
-                ("S6 differential responses the same", "tau_L", "tau_L", ""),
-                ("S7 throttle hysteresis equal", "a0", "a_fixed", "+-25 % each"),
-                ("S8 fuel-to-speed gains nearly equal", "C_FH", "C_FH", "3.5 %"),
-            )
-        ),
-    ]  # fmt: skip
+        _claim("S2", tau_H.p_holm, percent=tau_H.percent, z=tau_H.z),
+        _claim("S4", len(far), listed=listed),
+        *(_claim(key, abs(of[name].z)) for key, name in equal),
+    ]
 
 
 def _table_3(combined: Mapping[str, Combined]) -> Table:

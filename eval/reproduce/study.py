@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib.resources import files
 from typing import Any
 
 from eval.outcome import Outcome
@@ -13,8 +15,6 @@ from eval.report.style import NOTHING, Picture, number
 from eval.report.tables import Cell, Table, figure
 from eval.report.view import LogView
 from narxcal.support.files import finite
-
-NOT_ABOVE_ONE = "< 1.000000001"  # a ratio that rounding may leave just above one
 
 
 @dataclass(frozen=True)
@@ -66,6 +66,15 @@ class Claim:
             {n: getattr(self, n) for n in names} | {"ours": float(self.value)}
         )
         return row
+
+
+CLAIMS = tomllib.loads(files(__package__).joinpath("claims.toml").read_text("utf-8"))
+
+
+def claim(paper: str, key: str, value: float, **fills: object) -> Claim:
+    """Row of `claims.toml` with our value; `fills` stand for the braces of its texts."""
+    what, claimed, *rest = (text.format(**fills) for text in CLAIMS[paper][key])
+    return Claim(what, claimed, float(value), *rest)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -47,7 +47,6 @@ COMMANDS = {
     "replay": "Stream a log through model and fuser, sample by sample.",
     "simulate": "Free run over a file of inputs, or over a folder with found effects.",
     "info": "Describe a model and where it comes from.",
-    "denoise": "The paper's noise experiment: raw, fused and free run against SNR.",
     "fly": "Fly the virtual engine and write what its recorder measured.",
     "reproduce": "A paper's tables and figures, our numbers next to its claims.",
     "export": "Write a steady-state model as a table or an FMU.",

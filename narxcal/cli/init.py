@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import glob
 import io
-import json
 import os
 import tomllib
 from argparse import ArgumentParser, Namespace
@@ -30,7 +29,7 @@ from narxcal.cli.console import Console
 from narxcal.cli.options import add_overwrite, path
 from narxcal.cli.results import check_pair
 from narxcal.support.files import atomic_write_bytes, atomic_write_text
-from narxcal.support.settings import OPEN
+from narxcal.support.settings import OPEN, in_toml
 from training.config import SCHEMA, RunConfig
 
 _MOST_READ = 3  # files that are read as a whole
@@ -97,12 +96,12 @@ class _Text:
         without = f"  # no column is known as {lacking}: the model knows none" if lacking else ""
         response = next((name for name in SPOOLS if name in outputs), outputs[0])
         parts = [
-            f'schema = "{SCHEMA}"\nname = {_toml(self.files[0].stem.partition(".")[0])}\n',
+            f'schema = "{SCHEMA}"\nname = {in_toml(self.files[0].stem.partition(".")[0])}\n',
             self._logs(),
             self._running(),
-            f"[events]\ndriver = {_toml(driver)}  # {why}\nresponse = {_toml([response])}\n",
-            f"[steady_state]\ninputs = {_toml([driver, *air])}{without}\n",
-            f"[narx]\noutputs = {_toml(outputs)}\n",
+            f"[events]\ndriver = {in_toml(driver)}  # {why}\nresponse = {in_toml([response])}\n",
+            f"[steady_state]\ninputs = {in_toml([driver, *air])}{without}\n",
+            f"[narx]\noutputs = {in_toml(outputs)}\n",
             self._split(),
         ]
         return "\n".join(parts)
@@ -112,15 +111,17 @@ class _Text:
         names = [str(file.resolve().relative_to(folder)) for file in self.files]
         lines = [
             "[logs]",
-            f"folder = {_toml(os.path.relpath(folder, self.base))}",
-            f"files = {_toml([glob.escape(name) for name in names])}",
+            f"folder = {in_toml(os.path.relpath(folder, self.base))}",
+            f"files = {in_toml([glob.escape(name) for name in names])}",
             *(f"# {log.name}: {len(log)} samples, one every {log.dt_s:.4g} s" for log in self.logs),
         ]
         if self.columns.engines:
             lines += ["", "[logs.engines]  # by the columns that differ in this alone"]
-            lines += [f"{name} = {_toml(mark)}" for name, mark in self.columns.engines.items()]
+            lines += [f"{name} = {in_toml(mark)}" for name, mark in self.columns.engines.items()]
         lines += ["", "[logs.columns]", *map(str, self.columns.lines)]
-        lines += [f"# not used: {_toml(name)}, {why}" for name, why in self.columns.unused.items()]
+        lines += [
+            f"# not used: {in_toml(name)}, {why}" for name, why in self.columns.unused.items()
+        ]
         if self.columns.unknown:
             lines.append(f"# not known, give one to a channel to use it: {self._unknown()}")
         if self.columns.others:
@@ -142,7 +143,7 @@ class _Text:
         return "\n".join(lines) + "\n"
 
     def _unknown(self) -> str:
-        names = [_toml(each) for each in self.columns.unknown[:_MOST_UNKNOWN]]
+        names = [in_toml(each) for each in self.columns.unknown[:_MOST_UNKNOWN]]
         more = len(self.columns.unknown) - len(names)
         return ", ".join([*names, *([f"and {more} more"] if more else [])])
 
@@ -189,9 +190,8 @@ class _Text:
             )
         trained = min(max(round(_TRAINED * len(names)), 1), len(names) - 1)
         why = f"the first {trained} of {len(names)} files, whole; the others judge the model"
-        return (
-            f"[split]  # {why}\ntrain = {_toml(names[:trained])}\ntest = {_toml(names[trained:])}\n"
-        )
+        train, test = in_toml(names[:trained]), in_toml(names[trained:])
+        return f"[split]  # {why}\ntrain = {train}\ntest = {test}\n"
 
 
 def _stops(log: Log, name: str) -> bool:
@@ -206,7 +206,3 @@ def _idle(log: Log, name: str) -> float:
     for each in bands:  # a windmilling engine does not idle
         still &= log[each] > BELOW_IDLE[each]
     return float(np.min(log[name][still], initial=np.inf))
-
-
-def _toml(value: object) -> str:
-    return json.dumps(value, ensure_ascii=False)

@@ -18,8 +18,11 @@ which sets belong together, for a split that keeps them so.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import tomllib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from importlib.resources import files
+from typing import Any
 
 import numpy as np
 
@@ -27,11 +30,7 @@ from narxcal.flight_test.manoeuvres import travel
 from narxcal.flight_test.pilot import LATER_S, SIDES, Placed, compose, draw_rate
 from narxcal.flight_test.plan import seeded
 from narxcal.flight_test.route import (
-    CEILING_FT,
     CHANNEL_NAMES,
-    DT_HIGH_C,
-    DT_LOW_C,
-    MACH_MAX,
     RATE_HZ,
     check_between,
     smoothed,
@@ -81,153 +80,28 @@ class FlownRecord:
     round_s: float = 30.0
 
 
-def _record(
-    corners: tuple[tuple[float, float, float, float], ...],
-    windows: tuple[PushWindow, ...],
-    pushes: tuple[int, int],
-) -> FlownRecord:
+_TABLES = tomllib.loads(files(__package__).joinpath("paper_records.toml").read_text("utf-8"))
+
+
+def _windows(rows: Sequence[Sequence[Any]]) -> tuple[PushWindow, ...]:
+    return tuple(
+        PushWindow(phase, start_s, stop_s, pushes, tuple(low), tuple(high))
+        for phase, start_s, stop_s, pushes, low, high in rows
+    )
+
+
+def _record(table: Mapping[str, Any]) -> FlownRecord:
     """An airborne record that ends on approach."""
-    approach = (windows[-1].start_s, corners[-1][0])
-    return FlownRecord(corners, windows, pushes, approach=(approach,))
+    windows = _windows(table["windows"])
+    corners = tuple(map(tuple, table["corners"]))
+    approach = ((windows[-1].start_s, corners[-1][0]),)
+    return FlownRecord(corners, windows, tuple(table["pushes"]), approach=approach)
 
 
-_LOW, _HIGH = (2.0, 30.0), (60.0, 84.0)
-_INNER_LOW, _INNER_HIGH = (13.0, 30.0), (52.0, 73.0)
-_DESCENT = (2.0, 6.0)
-
-# Corners: time in s, pressure altitude in ft, Mach, degC off the standard day.
-PAPER_RECORDS = (
-    _record(
-        (
-            (0.0, 0.0, 0.30, DT_LOW_C),
-            (70.0, 0.0, 0.30, DT_LOW_C),
-            (340.0, 15_000.0, 0.55, -27.0),
-            (1240.0, CEILING_FT, 0.80, -24.0),
-            (1420.0, CEILING_FT, MACH_MAX, -24.0),
-            (1960.0, CEILING_FT, MACH_MAX, -24.0),
-            (2080.0, CEILING_FT, 0.78, -24.0),
-            (2800.0, 4000.0, 0.40, -28.0),
-            (3400.0, 300.0, 0.32, -29.0),
-        ),
-        (
-            PushWindow("climb", 60.0, 1180.0, 7, _LOW, _HIGH),
-            PushWindow("cruise", 1240.0, 1960.0, 7, _LOW, (50.0, 82.0)),
-            PushWindow("descent", 1990.0, 2760.0, 0, _DESCENT, _DESCENT),
-            PushWindow("approach", 2800.0, 3340.0, 4, (4.0, 20.0), (45.0, 84.0)),
-        ),
-        (18, 17),
-    ),
-    _record(
-        (
-            (0.0, 500.0, 0.32, DT_HIGH_C),
-            (60.0, 500.0, 0.32, DT_HIGH_C),
-            (420.0, 14_000.0, 0.52, 14.0),
-            (900.0, 26_000.0, 0.70, 4.0),
-            (1000.0, 26_000.0, 0.74, 4.0),
-            (1480.0, 26_000.0, 0.74, 4.0),
-            (1560.0, 26_000.0, 0.70, 4.0),
-            (1960.0, 3500.0, 0.42, 15.0),
-            (2060.0, 3500.0, 0.36, 17.0),
-            (2500.0, 400.0, 0.31, 19.0),
-        ),
-        (
-            PushWindow("climb", 60.0, 900.0, 6, _LOW, _HIGH),
-            PushWindow("cruise", 930.0, 1470.0, 6, _LOW, (50.0, 82.0)),
-            PushWindow("descent", 1490.0, 1940.0, 0, _DESCENT, _DESCENT),
-            PushWindow("approach", 1980.0, 2440.0, 4, (4.0, 20.0), (45.0, 84.0)),
-        ),
-        (16, 15),
-    ),
-    _record(
-        (
-            (0.0, 4000.0, 0.36, 0.0),
-            (60.0, 4000.0, 0.36, 0.0),
-            (360.0, 16_000.0, 0.56, -4.0),
-            (860.0, 33_000.0, 0.72, -10.0),
-            (960.0, 33_000.0, 0.76, -10.0),
-            (1400.0, 33_000.0, 0.76, -10.0),
-            (1480.0, 33_000.0, 0.72, -10.0),
-            (2000.0, 6000.0, 0.44, -3.0),
-            (2080.0, 6000.0, 0.40, -3.0),
-            (2480.0, 3000.0, 0.37, 0.0),
-        ),
-        (
-            PushWindow("climb", 60.0, 840.0, 5, _INNER_LOW, _INNER_HIGH),
-            PushWindow("cruise", 880.0, 1380.0, 5, _INNER_LOW, _INNER_HIGH),
-            PushWindow("descent", 1410.0, 1990.0, 0, (8.0, 12.0), (8.0, 12.0)),
-            PushWindow("approach", 2040.0, 2420.0, 4, (9.0, 20.0), _INNER_HIGH),
-        ),
-        (14, 13),
-    ),
-    _record(
-        (
-            (0.0, 6000.0, 0.38, 10.0),
-            (60.0, 6000.0, 0.38, 10.0),
-            (400.0, 18_000.0, 0.58, 6.0),
-            (760.0, 29_000.0, 0.70, -2.0),
-            (840.0, 29_000.0, 0.72, -2.0),
-            (1260.0, 29_000.0, 0.72, -2.0),
-            (1340.0, 29_000.0, 0.70, 0.0),
-            (1800.0, 7000.0, 0.45, 6.0),
-            (1880.0, 7000.0, 0.41, 6.0),
-            (2320.0, 4000.0, 0.37, 9.0),
-        ),
-        (
-            PushWindow("climb", 60.0, 740.0, 5, _INNER_LOW, _INNER_HIGH),
-            PushWindow("cruise", 770.0, 1250.0, 6, _INNER_LOW, _INNER_HIGH),
-            PushWindow("descent", 1280.0, 1800.0, 0, (8.0, 12.0), (8.0, 12.0)),
-            PushWindow("approach", 1840.0, 2260.0, 4, (9.0, 20.0), _INNER_HIGH),
-        ),
-        (15, 14),
-    ),
-    _record(
-        (
-            (0.0, 3000.0, 0.36, 2.0),
-            (60.0, 3000.0, 0.36, 2.0),
-            (400.0, 17_000.0, 0.58, -10.0),
-            (1000.0, 36_000.0, 0.78, -20.0),
-            (1150.0, 36_000.0, 0.82, -20.0),
-            (1500.0, 36_000.0, 0.82, -20.0),
-            (1640.0, 38_500.0, 0.82, -18.0),
-            (1900.0, 38_500.0, 0.82, -18.0),
-            (1980.0, 38_500.0, 0.78, -18.0),
-            (2640.0, 5000.0, 0.42, -8.0),
-            (2760.0, 5000.0, 0.36, -6.0),
-            (3160.0, 1500.0, 0.31, -2.0),
-        ),
-        (
-            PushWindow("climb", 60.0, 980.0, 6, _LOW, (78.0, 84.0)),
-            PushWindow("cruise", 1010.0, 1880.0, 6, _LOW, (50.0, 82.0)),
-            PushWindow("descent", 1910.0, 2640.0, 0, _DESCENT, _DESCENT),
-            PushWindow("approach", 2680.0, 3100.0, 4, (4.0, 20.0), (45.0, 84.0)),
-        ),
-        (16, 14),
-    ),
-)
-
-_CIRCUIT_S = 640.0
-# Time in s, height above the field in ft, Mach.
-_CIRCUIT = (
-    (0.0, 0.0, 0.0),
-    (30.0, 0.0, 0.0),
-    (66.0, 0.0, 0.21),
-    (160.0, 2500.0, 0.30),
-    (260.0, 2500.0, 0.30),
-    (382.0, 400.0, 0.22),
-    (450.0, 1500.0, 0.24),
-    (560.0, 50.0, 0.21),
-    (570.0, 0.0, 0.20),
-    (615.0, 0.0, 0.0),
-    (_CIRCUIT_S, 0.0, 0.0),
-)
-_CIRCUIT_WINDOWS = (
-    PushWindow("take-off", 0.0, 40.0, 1, (0.0, 0.0), (72.0, 84.0)),
-    PushWindow("climb", 64.0, 160.0, 1, (30.0, 55.0), (70.0, 84.0)),
-    PushWindow("downwind", 165.0, 255.0, 1, (12.0, 30.0), (40.0, 60.0)),
-    PushWindow("approach", 262.0, 390.0, 2, (4.0, 22.0), (55.0, 84.0)),
-    PushWindow("final", 455.0, 549.0, 2, (6.0, 24.0), (40.0, 70.0)),
-    PushWindow("landing", 552.0, 575.0, 0, (0.0, 0.0), (0.0, 0.0)),
-)
+PAPER_RECORDS = tuple(_record(table) for table in _TABLES["flights"])
+_CIRCUIT: list[tuple[float, float, float]] = _TABLES["circuit"]["corners"]
+_CIRCUIT_WINDOWS = _windows(_TABLES["circuit"]["windows"])
+_CIRCUIT_S = _CIRCUIT[-1][0]
 _LIFT_OFF_S, _TOUCH_DOWN_S = 60.0, 576.0
 _APPROACHES_S = ((262.0, 395.0), (450.0, _TOUCH_DOWN_S))
 

@@ -14,9 +14,11 @@ probe, which depends on the flow, belongs to the engine (`narxcal.turbofan`).
 from __future__ import annotations
 
 import math
+import tomllib
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib.resources import files
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -196,65 +198,11 @@ class ChannelSensor(Section):
     spike_size: float = Field(default=0.0, ge=0)
 
 
-# Speeds lag by 0.02 s, pressures by 0.04 s (the sensors of NASA's AGTF30). White noise is
-# that of recorded channels (N1, N2 0.03-0.1 %, EGT 0.5-2 degC, fuel flow 0.3-1 %; unverified).
-# Biases, resolutions, the scatter of the clock (a quarter of a 32 Hz sample) and all values without
-# a source are assumed, small against the effects of the library.
-_CLOCK_S = 0.008
-TEST_INSTRUMENTATION: dict[str, ChannelSensor] = {
-    "TRA_deg": ChannelSensor(noise_sigma=0.02, resolution=0.05),
-    "ALT_ft": ChannelSensor(noise_sigma=2.0, bias_sigma=10.0, resolution=1.0),
-    "Mach": ChannelSensor(noise_sigma=2e-4, bias_sigma=5e-4, resolution=1e-4),
-    "dT_C": ChannelSensor(noise_sigma=0.05, bias_sigma=0.2, resolution=0.05),
-    **dict.fromkeys(("N1_pct", "N2_pct"), ChannelSensor(
-        tau_s=0.02, bias_sigma=0.03, noise_sigma=0.04, skew_sigma_s=_CLOCK_S, resolution=0.02
-    )),
-    "EGT_C": ChannelSensor(
-        tau_s=0.02, bias_sigma=1.0, noise_sigma=0.7, coloured_sigma=0.3, skew_sigma_s=_CLOCK_S,
-        resolution=0.5,
-    ),
-    "FF_kgph": ChannelSensor(
-        tau_s=0.1, gain_sigma=0.003, noise_share=0.004, skew_sigma_s=_CLOCK_S, resolution=0.5
-    ),
-    "FN_kN": ChannelSensor(gain_sigma=0.003, noise_share=0.003),
-    **dict.fromkeys(
-        ("FPR", "EPR"),
-        ChannelSensor(tau_s=0.04, noise_share=0.001, gain_sigma=0.001, resolution=0.001),
-    ),
-}  # fmt: skip
-
-# An airline's recorder: engine channels once per second, each in its own slot of the frame (14
-# CFR 125 App. E, which allows steps of 2 % of the full range; those below are finer, as in
-# real recorders). Rates of the other channels and all slots are assumed.
-FDR: dict[str, ChannelSensor] = {
-    "TRA_deg": ChannelSensor(rate_hz=1.0, slot_s=0.125, noise_sigma=0.05, resolution=0.35),
-    "ALT_ft": ChannelSensor(rate_hz=1.0, bias_sigma=15.0, noise_sigma=2.0, resolution=4.0),
-    "Mach": ChannelSensor(rate_hz=1.0, slot_s=0.0625, bias_sigma=1e-3, resolution=1e-3),
-    "dT_C": ChannelSensor(rate_hz=1.0, slot_s=0.9375, bias_sigma=0.3, resolution=0.25),
-    "N1_pct": ChannelSensor(
-        tau_s=0.02, rate_hz=1.0, slot_s=0.25, bias_sigma=0.05, noise_sigma=0.05, resolution=0.125
-    ),
-    "N2_pct": ChannelSensor(
-        tau_s=0.02, rate_hz=1.0, slot_s=0.5, bias_sigma=0.05, noise_sigma=0.05, resolution=0.125
-    ),
-    "EGT_C": ChannelSensor(
-        tau_s=0.02, rate_hz=1.0, slot_s=0.75, bias_sigma=2.0, noise_sigma=1.0, resolution=1.0
-    ),
-    "FF_kgph": ChannelSensor(
-        tau_s=0.3, rate_hz=1.0, slot_s=0.875, gain_sigma=0.005, noise_share=0.005, resolution=2.0
-    ),
-    **dict.fromkeys(
-        ("FPR", "EPR"), ChannelSensor(tau_s=0.04, rate_hz=1.0, slot_s=0.375, resolution=0.005)
-    ),
-    **dict.fromkeys(
-        ("WOW", "Approach", "ECS", "NAI", "WAI"), ChannelSensor(rate_hz=1.0, slot_s=0.625)
-    ),
-}
-
 PRESETS: dict[str, dict[str, ChannelSensor]] = {
-    "test_instrumentation": TEST_INSTRUMENTATION,
-    "fdr": FDR,
-    "perfect": {},
+    preset: {name: ChannelSensor(**keys) for name, keys in channels.items()}
+    for preset, channels in tomllib.loads(
+        files(__package__).joinpath("sensors.toml").read_text("utf-8")
+    ).items()
 }
 # Time constant of the total temperature probe: about 1 s for a de-iced one (description of the
 # T-28's measurements, archive.eol.ucar.edu, 2000).

@@ -102,6 +102,11 @@ def read_toml(file: Path, schema: str) -> dict[str, Any]:
     return table
 
 
+def in_toml(value: object) -> str:
+    """TOML of a text, number or boolean, or a list of them: but for one letter its JSON."""
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
 def _open_key(table: Mapping[str, Any]) -> str:
     """Path to the first value that is still to be filled in; "" for none."""
     waiting: list[tuple[str, Any]] = [("", table)]

@@ -7,8 +7,9 @@ Rogers & Cohen, chapter 3). The off-design solution at the same conditions is th
 Thrust, bypass and pressure ratio are those of the class, and so is the fuel flow at the four
 settings of the landing and take-off cycle: JT15D-4 (1PW036) and CFM56-5B4/3 (8CM055) of the ICAO
 emissions databank, as in OpenAP 2.6.2. The numbers of the maps were fitted to these fuel flows, to
-an idle of the class and to the time constants of NASA's AGTF30
-(`eval.benchmarks.virtual_engine` prints the table); they are not those of any maker's engine.
+an idle of the class and to the time constants of NASA's AGTF30 (`python -m
+eval.benchmarks.virtual_engine` of 2f9145a prints the table); they are not those of any maker's
+engine.
 
 Schedules and gains of the control come from the running line at sea level static: the steady
 `Wf/Ps3` with margins above and below, and a governor that cancels the rotors' own time constants,

@@ -43,7 +43,6 @@ COMMANDS_OF_RUNS = {
     "simulate": ("RUN", "LOG", "--out", "OUT.csv"),
     "info": ("RUN",),
     "card": ("RUN", "--aircraft", "LIMITS.toml", "--out", "OUT.html"),
-    "denoise": ("RUN", "--out", "OUT"),
     "qtg": ("RUN", "--out", "OUT.pdf"),
     "export": ("RUN", "--to", "table", "--out", "OUT.csv"),
     "diagnose": ("--real", "FLIGHTS", "--sim", "RUN", "--out", "OUT"),

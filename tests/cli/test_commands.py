@@ -18,7 +18,6 @@ from data_prep.reading import read_logs
 from eval.diagnosis.diagnose import Request, screening_by
 from narxcal.calibration.bundle import load_bundle, save_bundle
 from narxcal.cli import main
-from narxcal.cli.denoise import usual_channel
 from narxcal.cli.prepare import file_names
 from narxcal.cli.results import config_header
 from training.steady_choice import Outlier
@@ -26,7 +25,7 @@ from training.steady_choice import Outlier
 ROOT = Path(__file__).parents[2]
 COMMANDS = (
     "demo", "prepare", "train", "identify", "evaluate", "compare", "crossval", "replay",
-    "simulate", "info", "denoise", "qtg", "fleet", "watch", "card",
+    "simulate", "info", "qtg", "fleet", "watch", "card",
     "fly", "export", "reproduce", "diagnose", "blind", "benchmark",
 )  # fmt: skip
 
@@ -489,24 +488,6 @@ def test_crossval_writes_folds_and_page(project, narxcal, tmp_path):
     assert document == strict((out / "crossval.json").read_text("utf-8"))
     assert [len(scheme["folds"]) for scheme in document["schemes"]] == [3, 1]
     assert "<html" in (out / "crossval.html").read_text("utf-8")
-
-
-def test_noise_goes_onto_n2_or_the_only_spool():
-    assert usual_channel(("N1_pct", "N2_pct", "EGT_C")) == "N2_pct"
-    assert usual_channel(("N1_pct", "EGT_C")) == "N1_pct"
-
-
-@pytest.mark.slow
-def test_denoise_reports_raw_fused_and_free_run_at_each_ratio(project, narxcal, tmp_path):
-    out = tmp_path / "noise"
-    done = narxcal("denoise", project / "run", "--out", out, "--json")
-    document = strict(done.out)
-    ratios = document["logs"][0]["ratios"]
-    assert [row["snr_db"] for row in ratios] == [20.0, 25.0, 30.0, 35.0, 40.0, 45.0]
-    assert done.code == (0 if all(row["beats_both"] for row in ratios) else 1)
-    page = (out / "denoise.html").read_text("utf-8")
-    assert "RMSE of N2 [%] against the clean signal" in page
-    assert "SNR [dB]" in narxcal("denoise", project / "run", "--out", out).out
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -1,9 +1,12 @@
 """`narxcal init`: from a header that nobody mapped to a configuration that runs."""
 
 import json
+import tomllib
 
 import numpy as np
 import pytest
+
+from narxcal.support.settings import in_toml
 
 TIME_S = np.arange(1200) / 10.0
 SPEED_PCT = 70.0 + 25.0 * np.sin(TIME_S / 9.0)
@@ -68,3 +71,8 @@ def test_a_configuration_that_is_there_is_not_replaced(logs, narxcal, tmp_path):
     assert done.code == 2
     assert "mine.toml exists" in done.err
     assert (tmp_path / "mine.toml").read_text("utf-8") == "mine"
+
+
+@pytest.mark.parametrize("value", ['N1 "raw" [%] \\ \x7f\t°', True, -2.5, ["a", "b\n"]])
+def test_values_read_back_as_they_were_written(value):
+    assert tomllib.loads(f"x = {in_toml(value)}")["x"] == value

@@ -9,11 +9,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from eval.benchmarks.watch import HOURS, SPREADS, Case, draw, judged
 from eval.drift import Change
 from eval.watch import Key, _Cells, _excess, _natural, cause, commands, watch
 from narxcal.cli import main
 from narxcal.support.addresses import Folder
+from tests.eval.drawn_fleet import HOURS, SPREADS, Case, draw, judged
 
 
 @pytest.fixture(scope="module")

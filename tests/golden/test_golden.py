@@ -29,8 +29,8 @@ SCENARIOS = (
     *(pytest.param(name, marks=pytest.mark.slow) for name in ("effects", "records")),
 )
 COMMANDS = (
-    "demo", "prepare", "train", "evaluate", "crossval", "replay", "simulate", "info", "denoise",
-    "fly", "reproduce", "export", "diagnose", "blind make", "blind run", "blind score",
+    "demo", "prepare", "train", "evaluate", "crossval", "replay", "simulate", "info", "fly",
+    "reproduce", "export", "diagnose", "blind make", "blind run", "blind score",
 )  # fmt: skip
 MAKER_NODES = (
     "TRA_deg=0,15,30,50,70,85", "ALT_ft=-1000,15000,30000,40000", "Mach=0,0.4,0.8", "dT_C=-30,20",
@@ -214,7 +214,6 @@ def of_project(flights, folder):
         ("evaluate", run, *data),
         ("crossval", config, *data, "--out", folder / "crossval", "--jobs", 1),
         ("info", run),
-        ("denoise", run, *data, "--out", folder / "denoised"),
         ("simulate", run, log, "--out", folder / "simulated.csv"),
         ("replay", run, log, "--out", folder / "replayed.csv"),
         ("export", run, "--to", "table", "--out", folder / "steady.csv", "--no-refine"),

@@ -109,8 +109,6 @@ def test_a_target_is_kept_on_its_side(value, bound, reached):
 
 def test_json_is_one_document_without_nan(monkeypatch, capsys, tmp_path):
     monkeypatch.setattr(bench.speed, "rows", lambda: [Row("speed", "x", 2.0, "us")])
-    monkeypatch.setattr(bench.virtual_engine, "rows", list)
-    monkeypatch.setattr(bench.faults, "rows", lambda data, seed: [])  # noqa: ARG005
     assert bench.main(["--json", "--data", str(tmp_path)]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["schema"] == "narxcal.bench/1"

@@ -14,7 +14,6 @@ from markupsafe import escape
 
 from data_prep.log import Audit, AuditEntry, Log
 from eval.crossval import CrossValidation, FoldResult
-from eval.denoising import NoiseSweep
 from eval.outcome import Outcome
 from eval.preparation import most_to_show
 from eval.report import tables
@@ -25,7 +24,6 @@ from eval.report.page import (
     RunHeader,
     crossval_page,
     evaluate_page,
-    noise_page,
     prepare_page,
     worst_events,
     write_page,
@@ -61,13 +59,6 @@ def folds(figures: list[float | None], test: tuple[str, ...] = (HOSTILE,)) -> Cr
     return CrossValidation(tuple(found), EvaluateConfig(largest_rmse={"N1_pct": 5.0}))
 
 
-def sweep() -> NoiseSweep:
-    columns = {"snr_db": [20.0, 45.0], "raw": [2.0, 0.1], "fused": [0.5, 0.05]}
-    columns |= {name: [np.nan, np.nan] for name in ("free_run", "fed_raw", "fed_fused")}
-    columns |= {"mean_nis": [1.0, 1.1], "nis_low": [0.9, 0.9], "nis_high": [1.2, 1.2]}
-    return NoiseSweep(HOSTILE, "N2_pct", pd.DataFrame(columns))
-
-
 def without_model(one: LogView) -> LogView:
     """As `prepare` has it."""
     events = [AssessedEvent(each.event) for each in one.events]
@@ -90,7 +81,6 @@ def test_every_page_is_sound_escaped_and_self_contained(evaluation, header, view
         evaluation,
         prepared_page(header, without_model(view())),
         crossval_page(header, folds([1.0, 6.0])),
-        noise_page(header, Outcome(passed=None, headline="h"), [sweep()]),
     ]
     for html in pages:
         assert HOSTILE in "".join(sound_page(html).text)
@@ -367,7 +357,6 @@ def test_a_browser_shows_the_pages_from_files_without_complaint(
             "evaluate": evaluation,
             "prepare": prepared_page(header, without_model(view())),
             "crossval": crossval_page(header, folds([1.0, 6.0])),
-            "denoise": noise_page(header, Outcome(passed=None, headline="h"), [sweep()]),
         }
     )
 

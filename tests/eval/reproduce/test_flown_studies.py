@@ -10,7 +10,7 @@ import pytest
 
 from data_prep.events import find_events
 from eval.reproduce.data import cut, pieces, trained_on_pieces, truth_of
-from eval.reproduce.noise import best_window, correlation, errors, leading, segments, smoothing
+from eval.reproduce.recordings import best_window, correlation, errors, leading, segments, smoothing
 
 
 def test_coefficients_are_those_of_the_textbook(data):

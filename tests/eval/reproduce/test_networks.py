@@ -175,7 +175,7 @@ def test_nothing_assessed_is_nothing_claimed():
     every = figures_of([])
     assert every["mean_Ti_pct"] is None
     assert every["max_Tt_pct"] is None
-    assert passed_claim(every, "paper").met is None
+    assert passed_claim(every).met is None
 
 
 @pytest.mark.slow

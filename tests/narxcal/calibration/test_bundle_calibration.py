@@ -161,7 +161,6 @@ def test_a_run_executes_nothing_without_trust(planted):
         ("evaluate", "RUN", "--logs", "x.csv", "--out", "OUT"),
         ("replay", "RUN", "x.csv", "--out", "OUT"),
         ("simulate", "RUN", "x.csv", "--out", "OUT"),
-        ("denoise", "RUN", "--out", "OUT"),
         ("export", "RUN", "--to", "table", "--out", "OUT.csv"),
         ("diagnose", "--sim", "RUN", "--real", "DIR", "--out", "OUT"),
     ],

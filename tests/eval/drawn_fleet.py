@@ -1,35 +1,23 @@
-"""How `narxcal watch` judges drawn fleets: power, delay, false alarms.
+"""Drawn fleets for `narxcal watch`, in the layout of `narxcal fleet`.
 
-    python -m eval.benchmarks.watch --seeds 11 12 13
-
-Datasets have the layout of `narxcal fleet`: flights of 1.5 h at a changing choice of levels,
-model errors by level and engine, minutes that are correlated with their flight, engines of unlike
-scatter. Spreads of flights are assumed (offsets of 0.10 % N1, 0.08 % N2, 3 K EGT). In one of six
-tails of a fleet one engine wears (EGT and N2), its EGT sensor shifts, the engine is exchanged (all
-offsets, Ti), or both engines' EGT meters shift, by so many standard deviations of one flight. A
-change counts as found where an alarm of that tail, engine and output says trend (wear) or step
-within three flights; every other change is false. The delay of a shifted sensor is the number of
-flights since then at which a look after 1, 2, 3, 5, 8, 13 or 21 of them first finds it, infinite
-where none does.
+Flights of 1.5 h at a changing choice of levels, model errors by level and engine, minutes that are
+correlated with their flight, engines of unlike scatter. In one of six tails an engine wears (EGT
+and N2), its EGT sensor shifts, it is exchanged (all offsets, Ti), or both engines' EGT meters
+shift, by so many standard deviations of one flight.
 """
 
-from __future__ import annotations
-
-import argparse
 import io
-import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import numpy as np
-import pandas as pd
 
 from data_prep.binary_source import arrow
 from eval.fleet import DOCUMENT, SCHEMA, WORK_LIST
 from eval.fleet_rows import GOOD, Row, as_tables
-from eval.watch import Watch, watch
+from eval.watch import Watch
 from narxcal.support.addresses import Folder
 from narxcal.support.arrays import FloatArray
 from narxcal.support.files import to_json
@@ -47,7 +35,6 @@ SCENARIOS: Final[dict[str, tuple[str, tuple[str, ...], dict[tuple[str, str], flo
     "engine change": ("step", ("right",), {**_OFFSETS, ("N1_pct", "Ti"): 1.0}),
     "shared meter": ("step", ENGINES, {("EGT_C", "offset"): 1.0}),
 }
-_DELAYS = (1, 2, 3, 5, 8, 13, 21)
 _NEAR = 3  # flights
 
 
@@ -81,8 +68,8 @@ class Case:
         return np.asarray(sizes.get(of, 0.0) * self.size * shape, dtype=np.float64)
 
 
-def draw(case: Case, dataset: Folder, flights: int | None = None) -> None:
-    """Write the dataset of a case, of its first `flights` where given."""
+def draw(case: Case, dataset: Folder) -> None:
+    """Write the dataset of a case."""
     pa, parquet = arrow(Path(WORK_LIST))
     names = [f"T{k:02d}" for k in range(case.tails)]
     parts = {DOCUMENT: to_json({"schema": SCHEMA, "runs": dict.fromkeys(names, "drawn")}).encode()}
@@ -93,9 +80,7 @@ def draw(case: Case, dataset: Folder, flights: int | None = None) -> None:
             rng = np.random.default_rng([case.seed, number, ENGINES.index(engine)])
             for row in _engine(case, tail, engine, rng):
                 rows[row.pop("table")].append(row)
-        kept = {f"{k:04d}.csv" for k in range(flights or case.flights)}
-        own = {name: [row for row in each if row["file"] in kept] for name, each in rows.items()}
-        for name, table in as_tables(pa, own).items():
+        for name, table in as_tables(pa, rows).items():
             stream = io.BytesIO()
             parquet.write_table(table, stream)
             parts[f"{name}/{tail}/00000.parquet"] = stream.getvalue()
@@ -143,7 +128,7 @@ def _engine(case: Case, tail: str, engine: str, rng: np.random.Generator) -> Ite
 
 
 def judged(case: Case, found: Watch) -> tuple[int, int, int]:
-    """Changes that were found, changes in all, false ones."""
+    """Changes found as trend (wear) or as step within three flights, changes in all, false ones."""
     kind, engines, sizes = SCENARIOS[case.scenario]
     wanted = {(tail, engine, *of) for tail in case.changed for engine in engines for of in sizes}
     hits, false = set(), 0
@@ -155,46 +140,3 @@ def judged(case: Case, found: Watch) -> tuple[int, int, int]:
             else:
                 false += 1
     return len(hits), len(wanted), false
-
-
-def delay(case: Case, place: str) -> float:
-    """Median flights until an alarm of the tails of a step; infinite beyond the last look."""
-    first: dict[str, float] = dict.fromkeys(case.changed, np.inf)
-    for count in _DELAYS:
-        dataset = Folder(f"{place}/{count}")
-        draw(case, dataset, case.at + count)
-        tails = {alarm.tail for alarm in watch(dataset).alarms}
-        first |= {tail: count for tail in tails & first.keys() if first[tail] == np.inf}
-        if np.isfinite(list(first.values())).all():
-            break
-    return float(np.median(list(first.values())))
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Print a row per scenario and size."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else "")
-    parser.add_argument("--seeds", type=int, nargs="+", default=[11, 12, 13])
-    parser.add_argument("--sizes", type=float, nargs="+", default=[1.0, 2.0, 4.0])
-    options = parser.parse_args(arguments)
-    rows = []
-    cases = [("sensor shift", 0.0), *((name, size) for name in SCENARIOS for size in options.sizes)]
-    for name, size in cases:
-        found = []
-        for seed in options.seeds:
-            case, place = Case(name, size, seed), f"memory://watch/{name}/{size}/{seed}"
-            draw(case, Folder(f"{place}/all"))
-            late = delay(case, place) if size and name == "sensor shift" else np.nan
-            found.append((*judged(case, watch(Folder(f"{place}/all"))), late))
-        hits, wanted, false, late = np.array(found).T
-        hours = len(options.seeds) * case.tails * case.flights * HOURS
-        rows.append({
-            "fleet": name if size else "stationary", "size": size,
-            "found": f"{hits.sum():.0f} of {wanted.sum():.0f}",
-            "false per 1000 h": round(1000.0 * false.sum() / hours, 3),
-            "delay [flights]": float(np.median(late)),
-        })  # fmt: skip
-    sys.stdout.write(pd.DataFrame(rows).to_string(index=False) + "\n")
-
-
-if __name__ == "__main__":
-    main()
