@@ -476,7 +476,7 @@ SIGNALS = {
     "low": [0.0], "high": [1.0], "lever": [0.0, 70.0], "active": ["TRA_deg"],
 }  # fmt: skip
 GAP = {
-    "schema": "narxcal.gap/1",
+    "schema": "narxcal.gap/2",
     "quality": {"signals": SIGNALS, "flights": ["a", "b"], "held_out": []},
     "verdict": {"effects": ["sensor_lag:N1_pct"]},
     "effects": [
