@@ -425,7 +425,7 @@ def case_results(rng, folder, sound):
         stored = {**EMULATOR, "sha256": hashlib.sha256(data).hexdigest()}
         return _changed_json(rng, folder, "emulator.json", stored, lambda: read_emulator(folder))
     if kind == 4:
-        run = _copied(sound.folders["lag"], folder / "run")
+        run = _copied(sound.folders["limits"], folder / "run")
         (run / "evaluate").mkdir()
         read = partial(_command, "info", str(run))
         return _changed_json(rng, run / "evaluate", "evaluate.json", sound.scores(run), read)
