@@ -106,7 +106,7 @@ def _known_errors(record: RunRecord, name: str) -> tuple[list[float], bool]:
     if held is not None and held.rmse.get(name):
         return [each for each in held.rmse[name] if math.isfinite(each)], held.fitted
     one = record.weighed.channels.get(name, MixtureChannel())
-    pooled = one.held_out_rmse.get(one.leads or "mixture")
+    pooled = one.held_out_rmse.get("mixture")
     if pooled is not None:
         return [pooled], False
     fit = record.free_run.rmse.get(name, math.nan) if record.free_run else math.nan

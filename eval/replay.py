@@ -52,11 +52,11 @@ class ReplayOptions(Section):
     value up to `hold_s`. `start` says where the model begins after a gap: in equilibrium, or at the
     measured outputs. With `follow` a growing file is read until it has not grown for `idle_s`.
 
-    `noise` is that of the bundle (`stored`), or (`log`) the sensors' is estimated from the first
-    `warmup_s` of the log itself, which delays the output so long, and the model's is that of the
-    bundle, which was estimated from whole flights. `auto` is `log` at full speed and `stored`
-    live. For a bundle without noise both are estimated from the log. `interval` is the share of
-    samples that the free run's interval covers, where the bundle has one.
+    Live, the noise is that of the bundle. At full speed the sensors' is estimated from the first
+    `warmup_s` of the log itself, and the model's is that of the bundle, which was estimated from
+    whole flights. For a bundle without noise both are estimated from the log, which delays the
+    output so long. `interval` is the share of samples that the free run's interval covers, where
+    the bundle has one.
     """
 
     engine: str | None = None
@@ -65,7 +65,6 @@ class ReplayOptions(Section):
     idle_s: float = Field(default=10.0, gt=0.0)
     hold_s: float = Field(default=2.0, ge=0.0)
     start: Literal["steady", "measured"] = "steady"
-    noise: Literal["auto", "stored", "log"] = "auto"
     warmup_s: float = Field(default=300.0, gt=0.0)
     interval: float = Field(default=LEVEL, ge=LEVELS[0], le=LEVELS[-1])
 
@@ -73,11 +72,6 @@ class ReplayOptions(Section):
     def live(self) -> bool:
         """Whether rows are written as soon as they are known."""
         return self.realtime or self.follow
-
-    @property
-    def stored_noise(self) -> bool:
-        """Whether the bundle's noise is used, if there is any."""
-        return self.noise == "stored" or (self.noise == "auto" and self.live)
 
 
 @dataclass(frozen=True)
@@ -148,7 +142,7 @@ class EngineReplay:
         self._running = self._begun = False
         self._waiting: list[Rows] = []
         self._findings = [one for one in model.findings if one.masks and one.engine == engine]
-        stored = model.noise if options.stored_noise else None
+        stored = model.noise if options.live else None
         self.fuser = None if stored is None else FastFuser(stored, model.fuser)
         self._fusable = np.ones(len(self.outputs), dtype=np.bool_)
         self._held = np.zeros(len(self._inputs), dtype=np.int64)

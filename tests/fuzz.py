@@ -40,25 +40,24 @@ from eval.diagnosis.learned import learned_by
 from eval.replay import ReplayModel, ReplayOptions, replay
 from eval.run_logs import evaluation_logs
 from narxcal import Narx
-from narxcal.calibration.bundle import load_bundle, save_bundle, seal
+from narxcal.calibration.bundle import load_bundle, seal
 from narxcal.cli.app import main as main_of
 from narxcal.cli.app import parse
 from narxcal.flight_test.fly import load_scenario
 from narxcal.steady.table import read_steady_table
 from narxcal.support.errors import NarxcalError
 from narxcal.support.files import sha256_of
+from tests.golden.test_golden import FORMS, GOLDEN, resealed
 from training import methods
 from training.config import load_config
 from training.methods import read_checkpoint, write_checkpoint
 from training.network import TrainingState
 
 ROOT = Path(__file__).parents[1]
-GOLDEN = ROOT / "tests" / "golden"
 LIMIT_S, LIMIT_MB = 20, 3000
 FLIGHT = (GOLDEN / "flight.csv").read_bytes()
 TABLE = (GOLDEN / "maker.csv").read_bytes()
 CONFIGS = tuple(sorted((ROOT / "configs").glob("*.toml"))) + tuple(GOLDEN.glob("*.toml"))
-FORMS = ("network_alone", "no_lags", "lag", "limits", "heat", "governed")
 
 NUMBERS = (
     "nan", "inf", "-inf", "1e400", "-1e400", "1e308", "1e-320", "0", "-0", "1", "-1", "1e9", "0.5",
@@ -360,8 +359,8 @@ def case_config(rng, folder, _sound):
     return "read"
 
 
-def case_bundle_bytes(rng, folder, _sound):
-    run = _copied(GOLDEN / pick(rng, FORMS) / "bundle", folder / "run")
+def case_bundle_bytes(rng, folder, sound):
+    run = _copied(sound.folders[pick(rng, FORMS)], folder / "run")
     file = run / pick(rng, ("bundle.json", "weights.safetensors"))
     file.write_bytes(bytes_changed(rng, file.read_bytes()))
     return _used(run)
@@ -426,7 +425,7 @@ def case_results(rng, folder, sound):
         stored = {**EMULATOR, "sha256": hashlib.sha256(data).hexdigest()}
         return _changed_json(rng, folder, "emulator.json", stored, lambda: read_emulator(folder))
     if kind == 4:
-        run = _copied(sound.folders["lag"], folder / "run")
+        run = _copied(sound.folders["limits"], folder / "run")
         (run / "evaluate").mkdir()
         read = partial(_command, "info", str(run))
         return _changed_json(rng, run / "evaluate", "evaluate.json", sound.scores(run), read)
@@ -477,7 +476,7 @@ SIGNALS = {
     "low": [0.0], "high": [1.0], "lever": [0.0, 70.0], "active": ["TRA_deg"],
 }  # fmt: skip
 GAP = {
-    "schema": "narxcal.gap/1",
+    "schema": "narxcal.gap/2",
     "quality": {"signals": SIGNALS, "flights": ["a", "b"], "held_out": []},
     "verdict": {"effects": ["sensor_lag:N1_pct"]},
     "effects": [
@@ -538,11 +537,9 @@ class Sound:
 
     def __init__(self, folder):
         warnings.simplefilter("ignore")
-        self.bundles = {form: load_bundle(GOLDEN / form / "bundle") for form in FORMS}
+        self.folders = {form: resealed(form, folder) for form in FORMS}
+        self.bundles = {form: load_bundle(run) for form, run in self.folders.items()}
         self.models = {form: ReplayModel.of(bundle) for form, bundle in self.bundles.items()}
-        self.folders = {form: folder / form for form in FORMS}
-        for form, bundle in self.bundles.items():
-            save_bundle(self.folders[form], bundle)
         self.estimator = folder / "narx"
         u = np.sin(np.arange(200.0))
         Narx(time_limit_s=2.0).fit([(u, np.convolve(u, [0.1, 0.2, 0.3])[:200])]).save(

@@ -163,10 +163,9 @@ class NarxSection(Section):
 class TrainConfig(Section):
     """Table [train]: free-run training by horizons that grow.
 
-    `optimiser` is Levenberg-Marquardt ("lm"), the same with geodesic acceleration ("geodesic"),
-    which descends further where data are plenty, or "adam". `horizons_s` are the lengths of the
-    windows in seconds, 0 for whole logs, and `iterations` the steps at each. Whole logs are run
-    from `restarts` places in each: from one alone, a network may memorise that start.
+    `optimiser` is Levenberg-Marquardt ("lm") or "adam". `horizons_s` are the lengths of the windows
+    in seconds, 0 for whole logs, and `iterations` the steps at each. Whole logs are run from
+    `restarts` places in each: from one alone, a network may memorise that start.
     `starts` networks are drawn from `seed` on and the best is kept. One sample in every
     `score_every_s` is scored. Training stops early after `patience` steps without a lower free-run
     error on the validation logs, where there are any. `local_trim` removes the static error from
@@ -181,7 +180,7 @@ class TrainConfig(Section):
     `delay_s` is the transport delay of the driver, found on held-out logs where it is "auto".
     """
 
-    optimiser: Literal["lm", "geodesic", "adam"] = "lm"
+    optimiser: Literal["lm", "adam"] = "lm"
     horizons_s: tuple[Annotated[float, Field(ge=0, le=1e6)], ...] = Field(
         default=(5.0, 60.0), min_length=1
     )

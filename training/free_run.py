@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 _BLOCK = 1024  # steps whose Jacobian is held at one time
 _BATCHES = 4  # parts of the work; more threads than this do not help
-_PROBE = 0.1  # share of a step at which its curvature is taken by central differences
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,13 +154,6 @@ class FreeRunProblem:
             self._trained(self._trained(np.sum([part.hessian for part in parts], axis=0)).T),
         )
 
-    def curvature(self, theta: FloatArray, step: FloatArray) -> FloatArray:
-        """J' r'' (P,), r'' the second derivative of the errors along `step` (for bent steps)."""
-        probes = (theta, theta + _PROBE * step, theta - _PROBE * step)
-        here, ahead, behind = (self._weights(probe) for probe in probes)
-        parts = self._map(partial(_curvature, along=(here, ahead, behind)))
-        return self._trained(np.sum(parts, axis=0))
-
     def _trained(self, slopes: FloatArray) -> FloatArray:
         """Slopes (..., P) by weights, zero by those that training leaves alone."""
         return slopes * self.net.trained() if self.net.config.linear_feedback else slopes
@@ -191,21 +183,8 @@ def _loss_and_gradient(batch: _Batch, weights: Weights) -> tuple[float, FloatArr
     run = _run(batch, weights)
     error = (run[0] - batch.target) * batch.root_weight**2
     loss = 0.5 * float((error * (run[0] - batch.target)).sum())
-    return loss, _theta_slopes(batch, run, weights, error)
-
-
-def _curvature(batch: _Batch, along: tuple[Weights, Weights, Weights]) -> FloatArray:
-    run, ahead, behind = (_run(batch, weights) for weights in along)
-    bend = (ahead[0] - 2.0 * run[0] + behind[0]) / _PROBE**2
-    return _theta_slopes(batch, run, along[0], bend * batch.root_weight**2)
-
-
-def _theta_slopes(
-    batch: _Batch, run: kernels.Run, weights: Weights, outer: FloatArray
-) -> FloatArray:
-    """Back-propagate `outer`, dLoss/d(outputs) (T, o), to dLoss/d(weights) (P,)."""
-    adjoint = weights.adjoint(run, batch.positions, outer)
-    return weights.theta_slopes(batch.tapped, run, adjoint)
+    adjoint = weights.adjoint(run, batch.positions, error)
+    return loss, weights.theta_slopes(batch.tapped, run, adjoint)
 
 
 def _features(batch: _Batch, fed: FloatArray, weights: Weights) -> tuple[FloatArray, FloatArray]:

@@ -23,7 +23,7 @@ from narxcal.support.files import finite
 from narxcal.support.interrupt import Interrupt, held_interrupt
 from training.config import TrainConfig
 from training.free_run import FreeRunProblem, cut_windows
-from training.optimisers import Damping, Moments, adam, minimise, minimise_geodesic
+from training.optimisers import Damping, Moments, adam, minimise
 
 _POLES = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98, 0.995)
 _RIDGE = 1e-6
@@ -349,8 +349,7 @@ class _Run:
             for move in adam(problem, theta, rate, decay, progress.moments):
                 yield replace(progress, theta=move.theta, moments=move.moments), move.loss
             return
-        descend = minimise_geodesic if self.config.optimiser == "geodesic" else minimise
-        for step in descend(problem, theta, decay, progress.damping):
+        for step in minimise(problem, theta, decay, progress.damping):
             yield replace(progress, theta=step.theta, damping=step.damping), step.loss
 
     def _scored(self, progress: TrainingState, loss: float, horizon_s: float) -> TrainingState:

@@ -1,30 +1,19 @@
 """Optimisers that yield their steps: Levenberg-Marquardt and Adam, on any problem.
 
-Straight steps: damping by Nielsen's rule (1999, Damping parameter in Marquardt's method,
-IMM-REP-1999-05), scaled by the diagonal after Marquardt (1963).
-
-Geodesic steps: with the straight step v, the acceleration a solves (H + D) a = -J' r'' / 2, r''
-the second derivative of the residuals along v, and v + a is taken if 2 |a| <= 0.75 |v|, both
-measured by the damping D (Transtrum and Sethna 2012, Improvements to the Levenberg-Marquardt
-algorithm for nonlinear least-squares minimization, arXiv 1201.5885). D is the root of the diagonal:
-weights of a feedback path move a free run far more than others do, the full diagonal (Marquardt)
-damps each of them by as much, and the descent is slow along the valley that they share; without any
-scaling (Levenberg, 1944) weak weights wander. The root lies between the two.
+Damping is by Nielsen's rule (1999, Damping parameter in Marquardt's method, IMM-REP-1999-05),
+scaled by the diagonal after Marquardt (1963).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
 from typing import Protocol
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from narxcal.support.arrays import BoolArray, FloatArray
-
-_MOST_BEND = 0.75  # of the straight step, Transtrum and Sethna (2012)
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,13 +30,6 @@ class Problem(Protocol):
 
     def loss(self, theta: FloatArray) -> float: ...  # noqa: D102
     def normal_equations(self, theta: FloatArray) -> Equations: ...  # noqa: D102
-
-
-class CurvedProblem(Problem, Protocol):
-    """A problem that also gives the curvature of its residuals."""
-
-    def curvature(self, theta: FloatArray, step: FloatArray) -> FloatArray:
-        """J' r'' (P,), with r'' the second derivative of the residuals along `step`."""
 
 
 @dataclass(frozen=True)
@@ -77,14 +59,11 @@ class Damping:
 
 
 class Proposal(Protocol):
-    """Give the step v that solves the damped equations, and the step to take.
-
-    Given are theta, (gradient, hessian) there and the damping.
-    """
+    """Give the step that solves the damped equations from (gradient, hessian) at theta."""
 
     def __call__(  # noqa: D102
         self, theta: FloatArray, slopes: tuple[FloatArray, FloatArray], damping: float
-    ) -> tuple[FloatArray, FloatArray]: ...
+    ) -> FloatArray: ...
 
 
 def minimise(
@@ -100,7 +79,7 @@ def minimise(
     decay/2 * |theta|^2 to the loss. The caller decides when to stop, and can go on from any step by
     giving its theta and damping back: the path is the same.
     """
-    propose = propose or _straight
+    propose = propose or _free
     damping = damping or Damping()
     while True:
         equations = problem.normal_equations(theta)
@@ -110,10 +89,10 @@ def minimise(
         if not (np.isfinite(gradient).all() and np.isfinite(hessian).all()):
             return
         while True:
-            straight, step = propose(theta, (gradient, hessian), damping.value)
+            step = propose(theta, (gradient, hessian), damping.value)
             trial = theta + step
             after = problem.loss(trial) + 0.5 * decay * float(trial @ trial)
-            promised = -float(straight @ gradient) - 0.5 * float(straight @ hessian @ straight)
+            promised = -float(step @ gradient) - 0.5 * float(step @ hessian @ step)
             if after < loss and promised > 0:
                 damping = damping.better((loss - after) / promised)
                 break
@@ -124,9 +103,7 @@ def minimise(
         yield Step(theta, after, damping)
 
 
-def _straight(
-    theta: FloatArray, slopes: tuple[FloatArray, FloatArray], damping: float
-) -> tuple[FloatArray, FloatArray]:
+def _free(theta: FloatArray, slopes: tuple[FloatArray, FloatArray], damping: float) -> FloatArray:
     del theta
     gradient, hessian = slopes
     diagonal = np.diag(hessian)
@@ -134,28 +111,27 @@ def _straight(
     try:
         factor = cho_factor(hessian + damping * np.diag(scale))
     except LinAlgError:
-        return np.zeros_like(gradient), np.zeros_like(gradient)
+        return np.zeros_like(gradient)
     solution: FloatArray = cho_solve(factor, -gradient)
-    return solution, solution
+    return solution
 
 
 def within(low: FloatArray, high: FloatArray) -> Proposal:
-    """Straight steps projected on the bounds (P,); what a bound stops is left out (Bertsekas 1982).
+    """Steps projected on the bounds (P,); what a bound stops is left out (Bertsekas 1982).
 
     SIAM J. Control 20(2).
     """
 
     def propose(
         theta: FloatArray, slopes: tuple[FloatArray, FloatArray], damping: float
-    ) -> tuple[FloatArray, FloatArray]:
+    ) -> FloatArray:
         gradient, hessian = slopes
         move = np.flatnonzero(~stopped(theta, gradient, low, high))
         step = np.zeros_like(theta)
         if len(move):
             part = gradient[move], hessian[np.ix_(move, move)]
-            step[move] = _straight(theta[move], part, damping)[0]
-        step = np.clip(theta + step, low, high) - theta
-        return step, step
+            step[move] = _free(theta[move], part, damping)
+        return np.clip(theta + step, low, high) - theta
 
     return propose
 
@@ -165,43 +141,6 @@ def stopped(
 ) -> BoolArray:
     """Parameters on a bound beyond which the loss would fall."""
     return ((theta <= low) & (gradient > 0.0)) | ((theta >= high) & (gradient < 0.0))
-
-
-def minimise_geodesic(
-    problem: CurvedProblem, theta: FloatArray, decay: float = 0.0, damping: Damping | None = None
-) -> Iterator[Step]:
-    """Yield accepted steps downhill as `minimise` does, with geodesic acceleration."""
-    return minimise(problem, theta, decay, damping, partial(_geodesic, problem))
-
-
-def _geodesic(
-    problem: CurvedProblem,
-    theta: FloatArray,
-    slopes: tuple[FloatArray, FloatArray],
-    damping: float,
-) -> tuple[FloatArray, FloatArray]:
-    """Straight step v and v + a; both zero where the curvature is too large for either."""
-    gradient, hessian = slopes
-    nothing = np.zeros_like(gradient), np.zeros_like(gradient)
-    scale = _scale(np.diag(hessian))
-    try:
-        factor = cho_factor(hessian + damping * np.diag(scale))
-    except LinAlgError:
-        return nothing
-    straight = cho_solve(factor, -gradient)
-    curvature = problem.curvature(theta, straight)
-    if not np.isfinite(curvature).all():
-        return nothing
-    bend = -0.5 * cho_solve(factor, curvature)
-    if 4.0 * float(bend**2 @ scale) > _MOST_BEND**2 * float(straight**2 @ scale):
-        return nothing
-    return straight, straight + bend
-
-
-def _scale(diagonal: FloatArray) -> FloatArray:
-    """Root of the diagonal (P,), in its units; never so little that a weight is undamped."""
-    floored = np.maximum(diagonal, 1e-9 * diagonal.max() + 1e-30)
-    return np.asarray(np.sqrt(floored * floored.mean()))
 
 
 # ---- Adam on the whole batch

@@ -180,11 +180,8 @@ class Bank:
     def from_json(cls, stored: Mapping[str, Any]) -> Self:
         """Rebuild from `to_json`, also after a round trip through JSON.
 
-        Of one without `steps`, of an earlier version, scatter is known by its prior alone. Raises
-        `ModelError` where a part is missing, of another type, or does not fit the channels.
+        Raises `ModelError` where a part is missing, of another type, or does not fit the channels.
         """
-        if "steps" not in stored and "wander" in stored:
-            stored = {**stored, "level": {}, "late": {}, "steps": {}, "delays": {}}
         known = {name: stored[name] for name in cls._stored() if name in stored}
         found = read_stored(cls, known, "redundancy")
         lacking = [name for name in cls._stored() if name not in stored]
@@ -198,9 +195,8 @@ class Bank:
     def complete(self) -> bool:
         """Whether every channel has its entries, of the lengths that the formulas take."""
         names = set(self.channels)
-        own = (self.centre, self.spread, self.low, self.high)
-        known = (self.level, self.steps, self.late) if self.steps else ()
-        every = all(names <= set(part) for part in (*own, *known, self.cells, self.models))
+        own = (self.centre, self.spread, self.low, self.high, self.level, self.steps, self.late)
+        every = all(names <= set(part) for part in (*own, self.cells, self.models))
         return (
             every
             and names | set(self.used) <= set(CHANNELS)

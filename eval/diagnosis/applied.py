@@ -43,7 +43,7 @@ _ONE_RASTER = 0.01
 _AIR = ("ALT_ft", "Mach", "dT_C")
 Windows = Mapping[str, tuple[tuple[float, float], ...]]  # log -> seconds since it began
 
-SCHEMAS = ("narxcal.gap/1", "narxcal.gap/2")
+GAP_SCHEMA = "narxcal.gap/2"
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,7 +280,7 @@ def _windows(document: Mapping[str, Any]) -> Windows:
 
 
 def gap_document(file: Path) -> Mapping[str, Any]:
-    """Read a `gap.json`; raises `ConfigError` for a file that is none."""
+    """Read a `gap.json`; raises `ConfigError` for a file that is none, or of another version."""
     try:
         document = json.loads(file.read_text(encoding="utf-8"))
     except OSError as error:
@@ -288,11 +288,11 @@ def gap_document(file: Path) -> Mapping[str, Any]:
     except (ValueError, RecursionError) as error:
         raise ConfigError(f"not JSON: {error}", file=file) from None
     found = document.get("schema") if isinstance(document, dict) else None
-    if found not in SCHEMAS:
+    if found != GAP_SCHEMA:
         raise ConfigError(
-            f"expected schema '{SCHEMAS[-1]}', found {found!r}",
+            f"expected schema '{GAP_SCHEMA}', found {found!r}",
             file=file,
-            hint="Name the gap.json that narxcal diagnose wrote",
+            hint="Name the gap.json that narxcal diagnose wrote, or diagnose again",
         )
     return dict(document)
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from data_prep.events import PULL, PUSH
 from data_prep.plausibility import conversions
-from eval.diagnosis.applied import signals_to_json
+from eval.diagnosis.applied import GAP_SCHEMA, signals_to_json
 from eval.diagnosis.expected import ChannelShrink, HeldOut, TimeShrink, Values
 from eval.diagnosis.flights import GapData
 from eval.diagnosis.pairs import Pair
@@ -25,7 +25,6 @@ from narxcal.support.files import versions
 from training.diagnosis.budget import UNEXPLAINED, Budget, Interval
 from training.diagnosis.nuisances import most_of_build
 
-SCHEMA: Final = "narxcal.gap/2"
 FEW: Final = 3  # flights: fewer say little of the spread between them
 _UNKNOWN = 0.01  # of the samples
 _COARSE, _LOUD = 0.5, 0.1  # an emulator's error against the gap, a channel's share of the gap
@@ -60,7 +59,7 @@ def document(evidence: Evidence, pairs: Sequence[Pair]) -> dict[str, Any]:
     """Put everything into plain values; numbers that are not finite are left to the writer."""
     found, where, held = evidence.budget, evidence.where, evidence.held_out
     return {
-        "schema": SCHEMA,
+        "schema": GAP_SCHEMA,
         "verdict": found.verdict_row(),
         "effects": _effect_rows(found, pairs, evidence.data.flights.signals.dt_s),
         "where": [_bin(row) for row in where.rows],
@@ -73,16 +72,6 @@ def document(evidence: Evidence, pairs: Sequence[Pair]) -> dict[str, Any]:
             "rmse_heldout": {} if held is None else dict(held.emulator_rmse),
         },
         "quality": {**evidence.facts, **_measured(found, where)},
-        "tried": [
-            {
-                "effects": [one.name],
-                "family": "",
-                "gain": _clipped(one.gain, 0.0),
-                "flights": [_clipped(gain, 0.0) for gain in one.flights],
-                "probability": one.probability,
-            }
-            for one in found.effects
-        ],
         "budget": found.rows(),
     }
 
@@ -181,7 +170,6 @@ def _measured(found: Budget, where: Where) -> dict[str, Any]:
     return {
         "gap_share": found.gap_share,
         "left_share": next(c.share for c in found.causes if c.cause == UNEXPLAINED),
-        "notes": [],
         "channels": {name: asdict(part) for name, part in where.channels.items()},
         "excess": dict(where.excess),
         "regimes": {
@@ -309,7 +297,6 @@ def facts_of(pairs: Sequence[Pair], data: GapData, held: Sequence[Pair]) -> dict
     """`quality` of `gap.json`, as far as it is of the logs."""
     return {
         "flights": [pair.name for pair in pairs],
-        "parts": [],
         "held_out": [pair.name for pair in held],
         "duration_s": round(sum(len(pair.time_s) * pair.dt_s for pair in pairs), 6),
         "rate_hz": round(1.0 / pairs[0].dt_s, 6),

@@ -72,7 +72,7 @@ def _page(guide: Guide, right: str) -> Page:
 
 
 def _sha(guide: Guide) -> str:
-    return guide.bundle.sha256 or "unverified: stored without a hash"
+    return guide.bundle.sha256 or "none: not stored"
 
 
 # --- front matter ---

@@ -17,16 +17,13 @@ Array names are paths: `narx/...` for the network and its scalings, `steady/...`
 steady-state model, `lag/...` for the lags. The one hash covers the document and, by their hashes,
 the weights and files: any altered byte is refused. It protects against damage and edits, not
 against an author: nothing is pickled, and a steady-state model that runs code (a Python function,
-an FMU) opens only with `trust`. A "narxcal.bundle/1" has no such hash: it loads as unverified, with
-a warning.
+an FMU) opens only with `trust`.
 """
 
 from __future__ import annotations
 
-import functools
 import hashlib
 import json
-import logging
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -61,7 +58,6 @@ from narxcal.support.files import (
 
 WEIGHTS = "weights.safetensors"
 _PENDING = "weights.safetensors.new"
-_LOG = logging.getLogger("narxcal")
 
 
 def packed(arrays: Mapping[str, NDArray[Any]]) -> tuple[bytes, dict[str, Any]]:
@@ -126,7 +122,7 @@ class ModelFolder:
             raise ModelError(
                 f"unknown schema {schema!r}, expected {self.schemas[0]!r}",
                 file=file,
-                hint="Read it with the version of narxcal that wrote it",
+                hint="Train it anew, or read it with the version of narxcal that wrote it",
             )
         return dict(found)
 
@@ -199,18 +195,15 @@ def _shape_text(entry: Any) -> str:
     return f"{entry.get('dtype')} {tuple(shape) if isinstance(shape, list) else shape}"
 
 
-SCHEMA, FORMER_SCHEMA = "narxcal.bundle/2", "narxcal.bundle/1"
+SCHEMA = "narxcal.bundle/2"
 DOCUMENT = "bundle.json"
 STEADY_FILES = "steady"
 _CONTENT = Results("narxcal.bundle/", DOCUMENT, (WEIGHTS, _PENDING, f"{STEADY_FILES}/*"))
-_OURS = (
-    "schema", "sha256", "dt_s", "channels", "units", "weights", "files", "calibration",
-    "calibration_sha256",
-)  # fmt: skip
+_OURS = ("schema", "sha256", "dt_s", "channels", "units", "weights", "files", "calibration")
 _FORM = ModelFolder(
     what="bundle",
     document=DOCUMENT,
-    schemas=(SCHEMA, FORMER_SCHEMA),
+    schemas=(SCHEMA,),
     made_by="narxcal train",
     again="Copy the bundle again, or train it anew",
 )
@@ -220,7 +213,7 @@ _FORM = ModelFolder(
 class Bundle:
     """A calibration and where it comes from.
 
-    `sha256` is the hash of the stored bundle; empty for one that was not loaded, or is unverified.
+    `sha256` is the hash of the stored bundle; empty for one that was not loaded.
     """
 
     calibration: Calibration
@@ -324,12 +317,7 @@ def load_bundle(folder: str | PathLike[str], *, trust: bool = False) -> Bundle:
             file=file,
             hint=_FORM.again,
         )
-    if document["schema"] == FORMER_SCHEMA:
-        _warn_once(
-            f"{source} is unverified: its schema {FORMER_SCHEMA} has no hash over all of it; "
-            "train it anew to have one"
-        )
-    return Bundle(calibration, _record(document, file), str(document.get("sha256", "")))
+    return Bundle(calibration, _record(document, file), str(document["sha256"]))
 
 
 def _record(document: Mapping[str, Any], file: Path) -> RunRecord:
@@ -366,22 +354,12 @@ def read_document(folder: str | PathLike[str]) -> dict[str, Any]:
 
 def _alteration(source: Path, document: dict[str, Any]) -> str:
     """Say how a document differs from what was written; empty where it does not."""
-    if document["schema"] == FORMER_SCHEMA:
-        document.pop("sha256", None)
-        calibration = _FORM.part(source, document, "calibration")
-        intact = seal(calibration) == document.get("calibration_sha256")
-        return "" if intact else "the part 'calibration' was altered"
     rest = {key: value for key, value in document.items() if key != "sha256"}
     # The text is compared, too: a changed byte between two values changes no value.
     whole = (source / DOCUMENT).read_bytes() == to_json(document).encode()
     if whole and seal(rest) == document.get("sha256"):
         return ""
     return "the file was altered: its content does not have the hash that it states"
-
-
-@functools.cache
-def _warn_once(text: str) -> None:
-    _LOG.warning(text)
 
 
 def _channels(calibration: Calibration) -> dict[str, Any]:
@@ -416,14 +394,10 @@ def _with_own_files(source: Path, document: Mapping[str, Any]) -> dict[str, Any]
     steady = calibration.get("steady")
     name = Path(str(steady.get("file", ""))).name if isinstance(steady, dict) else ""
     copy = source / STEADY_FILES / name
-    if document["schema"] == FORMER_SCHEMA:
-        own = copy.is_file()
-    else:
-        files = _FORM.part(source, document, "files")
-        for listed, sha256 in files.items():
-            _check_file(source, listed, sha256)
-        own = f"{STEADY_FILES}/{name}" in files
-    if not own or not isinstance(steady, dict):
+    files = _FORM.part(source, document, "files")
+    for listed, sha256 in files.items():
+        _check_file(source, listed, sha256)
+    if f"{STEADY_FILES}/{name}" not in files or not isinstance(steady, dict):
         return calibration
     return {**calibration, "steady": {**steady, "file": str(copy)}}
 

@@ -548,8 +548,7 @@ class DynamicCalibration(Calibration):
             lag = meta.get("lag")
             if lag is not None:
                 loaded = loaded.with_lag(LumpedEngine.from_arrays(lag, part["lag"]))
-            members = meta.get("members", meta.get("leads", ()))  # the latter in older versions
-            loaded = loaded.with_members([Member.from_json(one) for one in members])
+            loaded = loaded.with_members([Member.from_json(one) for one in meta.get("members", ())])
             if meta.get("network_share") is not None:
                 loaded = loaded.with_network_share(meta["network_share"])
         except KeyError as error:

@@ -1,8 +1,8 @@
 """What a run is, besides its model: configuration, data, seeds, and what each step chose and left.
 
 `training.pipeline` writes a `RunRecord`, `narxcal.calibration.bundle` stores it in `bundle.json`,
-every command reads it. Parts that an older version did not write are None or empty; entries that
-this version does not know are kept as they are.
+every command reads it. Parts that were not written are None or empty; entries that this version
+does not know are kept as they are.
 """
 
 from __future__ import annotations
@@ -110,13 +110,9 @@ class ResponsesRecord(_Part):
 
 
 class MixtureChannel(_Part):
-    """Weights of the models in one output, and what they left on what was held out.
-
-    Older versions let one model lead, `leads`, in the place of weights.
-    """
+    """Weights of the models in one output, and what they left on what was held out."""
 
     weights: dict[str, float] = Field(default_factory=dict)
-    leads: str = ""
     held_out_rmse: dict[str, float | None] = Field(default_factory=dict)
     held_out_responses: dict[str, ResponsesRecord] = Field(default_factory=dict)
     held_out_level: tuple[float | None, ...] = ()
@@ -125,8 +121,7 @@ class MixtureChannel(_Part):
     @property
     def ordered(self) -> list[tuple[str, float]]:
         """Models with their weights, the largest first."""
-        weights = self.weights or {self.leads or "network": 1.0}
-        return sorted(weights.items(), key=lambda pair: -pair[1])
+        return sorted(self.weights.items(), key=lambda pair: -pair[1])
 
 
 class MixtureRecord(_Part):
@@ -190,7 +185,6 @@ class RunRecord(_Part):
     training: TrainingRecord = TrainingRecord()
     baselines: Table | None = None
     mixture: MixtureRecord | None = None
-    lead: MixtureRecord | None = None  # in the place of `mixture` in older versions
     identify: Table | None = None
     free_run: FitRecord | None = None
     fuser_noise: Table | None = None
@@ -233,7 +227,7 @@ class RunRecord(_Part):
     @property
     def weighed(self) -> MixtureRecord:
         """The models' weights and held-out errors; without channels where nothing was chosen."""
-        return self.mixture or self.lead or MixtureRecord()
+        return self.mixture or MixtureRecord()
 
     def logs(self, role: str) -> tuple[str, ...]:
         """Names of the logs of "train", "validate" or "test"."""

@@ -192,7 +192,7 @@ def header_of(
         sources=data_files(log.source for log in logs),
         versions=record.versions,
         facts={
-            "Bundle": hash_words(read_document(run).get("sha256")),
+            "Bundle": hash_words(read_document(run)["sha256"]),
             "Interval": interval_words(
                 bundle.calibration.interval, names=bundle.calibration.output_names
             ),
@@ -202,11 +202,9 @@ def header_of(
     )
 
 
-def hash_words(sha256: str | None) -> str:
+def hash_words(sha256: str) -> str:
     """Hash of a loaded bundle in words."""
-    return (
-        f"sha256 {sha256[:16]}" if sha256 else "unverified: written without a hash over all of it"
-    )
+    return f"sha256 {sha256[:16]}"
 
 
 def data_files(sources: Iterable[Source]) -> list[Source]:

@@ -157,9 +157,7 @@ class _Model:
             np.array([before[1], at.ss[0]]), np.array([before[0], at.target[0]]),
             np.array([at.per_unit[0]] * 2), np.array([at.air[0]] * 2),
         )  # fmt: skip
-        engine = Engine(
-            n["theta"], n["limit"], n["order"], n["own"], n["rank"], governed, explicit=False
-        )
+        engine = Engine(n["theta"], n["limit"], n["order"], n["own"], n["rank"], governed)
         names = traced(rotors)
         names["_governed" if governed else "_limited"](engine, drive, states, 1, n["dt_s"])
         deviation = [names["deviation"](states, o) for o in range(own)]

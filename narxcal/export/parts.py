@@ -197,11 +197,6 @@ def _narx(model: DynamicCalibration, weights: FloatArray) -> Part:
 
 
 def _lags(lag: LumpedEngine, model: DynamicCalibration) -> Struct:
-    if lag.explicit:
-        raise ModelError(
-            "the governed lags are those of an older version, which may oscillate",
-            hint="Train the run again",
-        )
     engine, slow = lag.compiled(), lag.start(np.ones(len(lag.output_names)))[rotors.CASING]
     numbers = {
         "air": air_columns(model.input_names),

@@ -1,14 +1,13 @@
 """The lumped two-spool engine: parameters by name, start, free run, slopes, storage.
 
 `narxcal.lumped.rotors` has the equations and the names of the parameters. The steady state is an
-exact equilibrium, which is stable whatever the parameters are, but for governed engines of older
-folders (`explicit`).
+exact equilibrium, which is stable whatever the parameters are.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple, Self
 
@@ -39,8 +38,7 @@ from narxcal.support.errors import ModelError
 
 Starts = tuple[IntArray, FloatArray]  # positions (n,) of windows, and states (n, ROWS, n_out)
 _SCALES = ("centre", "half", "limit")
-_EXPLICIT, _FORM = "governed", "governed/2"  # `form` where it is stored; limited engines have none
-_WITHOUT_HEAT = list(LIMITED[: LIMITED.index("heat")])  # in folders older than heat
+_FORM = "governed/2"  # `form` of a stored governed engine; limited ones have the parameters' names
 
 
 class Slopes(NamedTuple):
@@ -77,7 +75,6 @@ class LumpedEngine:
     | `theta` (P,) | parameters; `arrays` are views of them by stored name |
     | `centre`, `half` (n_out,) | scale the corrected outputs to [-1, 1] |
     | `limit` (n_out,) | bounds the magnitude of each deviation |
-    | `explicit` | whether a governed engine takes the steps of older folders, which may oscillate |
 
     The core is the last output that is a speed, or the first output of an engine without one.
     """
@@ -88,7 +85,6 @@ class LumpedEngine:
     centre: FloatArray
     half: FloatArray
     limit: FloatArray
-    explicit: bool = False
 
     @classmethod
     def of(
@@ -179,7 +175,7 @@ class LumpedEngine:
     def _all(self) -> Engine:
         columns = np.arange(len(self.output_names))
         own, rank = np.where(self.speeds, columns, self.core), np.argsort(self.order)
-        return Engine(self.theta, self.limit, self.order, own, rank, self.governed, self.explicit)
+        return Engine(self.theta, self.limit, self.order, own, rank, self.governed)
 
     def compiled(self, outputs: IntArray | None = None) -> Engine:
         """The numbers that compiled functions take, to run all outputs or some.
@@ -248,28 +244,24 @@ class LumpedEngine:
     def to_arrays(self) -> tuple[dict[str, Any], dict[str, FloatArray]]:
         """Split into JSON-able structure and named arrays, for the bundle."""
         names = {"output_names": list(self.output_names)}
-        form = _EXPLICIT if self.explicit else _FORM
-        own = {"form": form} if self.governed else {"parameter_names": list(LIMITED)}
+        own = {"form": _FORM} if self.governed else {"parameter_names": list(LIMITED)}
         return {**own, **names}, {**self.arrays, **{name: getattr(self, name) for name in _SCALES}}
 
     @classmethod
     def from_arrays(cls, meta: Mapping[str, Any], arrays: Mapping[str, FloatArray]) -> Self:
-        """Rebuild from `to_arrays`; `ModelError` where an array is missing or misshapen.
+        """Rebuild from `to_arrays`.
 
-        Parameters of heat, which older folders lack, are zero.
+        Raises `ModelError` for another form, and where an array is missing or misshapen.
         """
         names = tuple(meta["output_names"])
         form = meta.get("form")
-        shapes = shapes_of(len(names), governed=form in {_EXPLICIT, _FORM})
-        if meta.get("parameter_names") == _WITHOUT_HEAT:
-            shapes["parameters"] = (len(names), len(_WITHOUT_HEAT))
-        scales = dict.fromkeys(_SCALES, (len(names),))
         hint = "Train again if another version of narxcal wrote the folder"
+        if form not in {None, _FORM}:
+            raise ModelError(f"the lags are of form {form!r}, expected {_FORM!r}", hint=hint)
+        shapes = shapes_of(len(names), governed=form is not None)
+        scales = dict.fromkeys(_SCALES, (len(names),))
         found = shaped(arrays, shapes | scales, "lag array", hint)
-        if "parameters" in shapes:
-            missing = len(LIMITED) - shapes["parameters"][1]
-            found["parameters"] = np.pad(found["parameters"], ((0, 0), (0, missing)))
-        return replace(cls.of(names, found, found), explicit=form == _EXPLICIT)
+        return cls.of(names, found, found)
 
 
 def speeds_of(names: Sequence[str]) -> BoolArray:

@@ -65,9 +65,6 @@ negative since lead >= valve, the first is above -90 deg since reset >= fan core
 every gain. A step is backward Euler's, which maps a pole p to 1 / (1 - h p): inside the unit circle
 for any h. Other outputs and heat follow the loop and are lags of their own.
 
-In folders of older versions lead = lead_s, reset = reset_s, c_f is free and the steps are explicit
-(`Engine.explicit`): such a loop may oscillate. They run as they did.
-
 All functions are for floats and for dual numbers (`narxcal.support.dual`).
 """
 
@@ -142,7 +139,6 @@ class Engine(NamedTuple):
     `theta` (P,) are floats or dual numbers, `limit` (o,) bounds each deviation. `outputs` are the
     columns to be run: the core, then the fan, then others. `own` (o,) is the speed on which an
     output depends: itself or the core. `rank` (o,) is its place in the order core, fan, others.
-    `explicit`: a governed engine of an older folder.
     """
 
     theta: FloatArray
@@ -151,7 +147,6 @@ class Engine(NamedTuple):
     own: IntArray
     rank: IntArray
     governed: bool
-    explicit: bool
 
 
 class Drive(NamedTuple):
@@ -467,12 +462,8 @@ def _governed(engine: Engine, drive: Drive, x: FloatArray, k: int, dt_s: float) 
         s_was = start[fan] + i / count * (end[fan] - start[fan])
         s = start[fan] + (i + 1.0) / count * (end[fan] - start[fan])
         v, u, settled, was = _bounded(r.core), _bounded(r.fan), _bounded(w), r
-        c = chord(p, slopes, air, v, settled)
-        if engine.explicit:
-            r = _explicit_spools(p, air, r, (w_was, w, s_was, s, c), fixed)
-        else:
-            c = clip(c, _LEAST_CHORD, math.inf)
-            r = _spools(p, air, r, (w, s, c), fixed)
+        c = clip(chord(p, slopes, air, v, settled), _LEAST_CHORD, math.inf)
+        r = _spools(p, air, r, (w, s, c), fixed)
         power, d_core = (r.core - was.core) / h, 0.5 * (w_was - was.core + w - r.core)
         beside = s_was - was.fan - c * d_core
         core_now = (v, u, settled, d_core, power, beside)
@@ -532,49 +523,6 @@ def _governed_heat(
 def inner_steps(dt_s: float) -> int:
     """How many inner steps a governed engine takes per sample."""
     return max(1, math.ceil(dt_s / _STEP_S - 1e-9))
-
-
-# ---- governed, explicit steps of older folders
-
-
-@compiled(exact=False)
-def _explicit_governor(
-    p: FloatArray, air: FloatArray, x: Spools, s: float, clearance: float
-) -> tuple[float, float]:
-    """Fuel that the control demands, f_d, and core_s; `s` is the steady state of the fan."""
-    v, u = _bounded(x.core), _bounded(x.fan)
-    core_s = line(p, _CORE_S, air, v, u)
-    error = s - x.fan - line(p, _LEAD_S, air, v, u) * x.fan_rate
-    rate = (x.reset + line(p, _GAIN, air, v, u) * error - x.core) / core_s
-    down, up = _limits(p, air, x, (v, u), clearance)
-    most = up if rate > 0.0 else down
-    return x.core + core_s * rate / stretch(rate / most, math.inf), core_s
-
-
-@compiled(exact=False)
-def _explicit_spools(
-    p: FloatArray,
-    air: FloatArray,
-    x: Spools,
-    targets: tuple[float, float, float, float, float],
-    fixed: tuple[float, float, float],
-) -> Spools:
-    """Advance control, valve, core and metal, then the fan.
-
-    `targets` are w and s before and after the step, and the chord of the fan.
-    """
-    (w_was, w, s_was, s, c), (clearance, valve, h) = targets, fixed
-    demand, core_s = _explicit_governor(p, air, x, s, clearance)
-    v, u = _bounded(x.core), _bounded(x.fan)
-    reset = demand + (x.reset - demand) * math.exp(-h / line(p, _RESET_S, air, v, u))
-    fuel = demand + (x.fuel - demand) * math.exp(-h / valve)
-    mean = 0.5 * (x.fuel + fuel)
-    core = mean + (x.core - mean) * math.exp(-h / core_s)
-    metal, casing = warmed(x.metal, x.casing, fuel, (v, air[0], h))
-    pull = c * 0.5 * (w_was - x.core + w - core) - line(p, _PUSH, air, v, u) * (core - x.core) / h
-    times = (line(p, _FAN_S, air, v, u), h)
-    fan = s - follow(s_was - x.fan, pull, s - s_was, times)
-    return Spools(core, fan, fuel, reset, (fan - x.fan) / h, metal, casing)
 
 
 # ---- both

@@ -24,7 +24,7 @@ SIGNALS = {
     "active": ["TRA_deg"],
 }
 GAP = {
-    "schema": "narxcal.gap/1",
+    "schema": "narxcal.gap/2",
     "verdict": {"kind": "effects", "effects": ["throttle_bias", "sensor_bias:EGT_C"]},
     "effects": [
         {"id": "throttle_bias", "parameters": {"bias_deg": {"value": 2.0}}},

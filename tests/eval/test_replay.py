@@ -76,8 +76,8 @@ class FirstOrder:
         return np.array([self.reset(inputs[0], start), *map(self.step, inputs[1:])])
 
 
-# Most tests compare with a fuser of the same stored noise.
-STORED = ReplayOptions(noise="stored")
+# Most tests compare with a fuser of the same stored noise, which live rows are fused by.
+STORED = ReplayOptions(follow=True, idle_s=0.01)
 
 
 def noise_model():
@@ -169,7 +169,7 @@ def test_the_interval_stands_around_the_prediction_in_any_pieces(tmp_path):
     columns["TRA_deg"][300:340] = np.nan  # longer than an input is held
     log = write(tmp_path / "log.csv", columns)
     model = ReplayModel(Interval(), noise=noise_model())
-    replay(model, log, tmp_path / "out.csv", ReplayOptions(noise="stored", interval=0.8))
+    replay(model, log, tmp_path / "out.csv", STORED.model_copy(update={"interval": 0.8}))
     found, _ = read(tmp_path / "out.csv")
     for name in FirstOrder.output_names:
         middle = 0.5 * (found[f"{name}_low"] + found[f"{name}_high"])
@@ -229,7 +229,7 @@ def test_several_engines_come_interleaved_and_one_can_be_picked(tmp_path):
     assert engines[:4] == ["left", "right", "left", "right"]
     assert (np.diff(both["time_s"]) >= 0.0).all()
     for i, engine in enumerate(("left", "right")):
-        replay(model, log, tmp_path / "one.csv", ReplayOptions(engine=engine, noise="stored"))
+        replay(model, log, tmp_path / "one.csv", STORED.model_copy(update={"engine": engine}))
         one, none = read(tmp_path / "one.csv")
         assert none[0] is None
         for name in one:
@@ -255,7 +255,7 @@ def test_a_gap_restarts_the_model_settled_and_is_flagged_once(tmp_path):
         found["N1_pct_prediction"][250:], FirstOrder().simulate(inputs)[:, 0], rtol=1e-9
     )
     measured = second.matrix(FirstOrder.output_names)
-    replay(model, log, tmp_path / "out.csv", ReplayOptions(start="measured", noise="stored"))
+    replay(model, log, tmp_path / "out.csv", STORED.model_copy(update={"start": "measured"}))
     found, _ = read(tmp_path / "out.csv")
     np.testing.assert_allclose(
         found["N1_pct_prediction"][250:],
@@ -333,7 +333,7 @@ def test_an_output_the_log_lacks_is_predicted_and_not_fused(tmp_path):
     columns = flight()
     del columns["N2_pct"]
     log = write(tmp_path / "log.csv", columns)
-    for options in (STORED, ReplayOptions(noise="log")):
+    for options in (STORED, ReplayOptions()):
         summary = replay(MODEL, log, tmp_path / "out.csv", options)
         found, _ = read(tmp_path / "out.csv")
         np.testing.assert_array_equal(found["N2_pct_fused"], found["N2_pct_prediction"])
@@ -485,7 +485,7 @@ def test_other_formats_are_replayed_as_csv_is_but_not_followed(tmp_path, ending)
         parquet = pytest.importorskip("pyarrow.parquet", reason="as before")
         parquet.write_table(pa.table(columns), log)
     for source in ("csv", ending):
-        replay(MODEL, tmp_path / f"log.{source}", tmp_path / f"of_{source}.csv", STORED)
+        replay(MODEL, tmp_path / f"log.{source}", tmp_path / f"of_{source}.csv")
     same = (tmp_path / "of_csv.csv").read_bytes() == (tmp_path / f"of_{ending}.csv").read_bytes()
     assert same
     with pytest.raises(DataError) as error:

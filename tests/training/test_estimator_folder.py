@@ -104,7 +104,7 @@ def test_folders_of_something_else_are_refused(saved, tmp_path):
     refused(
         saved,
         f"{file}: unknown schema 'narxcal.bundle/1', expected 'narxcal.narx/1'. "
-        "Read it with the version of narxcal that wrote it",
+        "Train it anew, or read it with the version of narxcal that wrote it",
     )
     file.write_text("{", encoding="utf-8")
     with pytest.raises(ModelError, match=rf"^{re.escape(str(file))}: not JSON: .*\. {AGAIN}$"):

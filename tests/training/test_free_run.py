@@ -206,39 +206,6 @@ def test_gauss_newton_matrix_is_the_jacobian_squared():
     np.testing.assert_allclose(hessian, jacobian.T @ jacobian, rtol=1e-4, atol=1e-8)
 
 
-@pytest.mark.parametrize(
-    "config",
-    [
-        NarxConfig(hidden=3),
-        NarxConfig(lags=1, taps=(0, 2), hidden=1, moving=1),
-        NarxConfig(lags=2, hidden=2, moving=1, linear_feedback=True),
-    ],
-)
-@pytest.mark.parametrize("threads", [1, 2])
-def test_the_curvature_is_that_of_the_run_along_the_step(config, threads):
-    model = make_model(config)
-    theta = net_of(model).get_theta()
-    step = 0.1 * np.random.default_rng(3).normal(size=len(theta)) * net_of(model).trained()
-    windows = cut_windows(model, [make_record()], 20)
-    problem = FreeRunProblem(net_of(model), windows, threads)
-
-    def residual(at):
-        net_of(model).set_theta(at)
-        weights = net_of(model).weights()
-        runs = [weights.run(w.tapped, (AT_START, w.history[None]))[0] for w in windows]
-        return np.concatenate(
-            [((y - w.target) * w.root_weight).ravel() for y, w in zip(runs, windows, strict=True)]
-        )
-
-    bend = (
-        residual(theta + 0.1 * step) - 2 * residual(theta) + residual(theta - 0.1 * step)
-    ) / 0.01
-    units = 1e-6 * np.diag(net_of(model).trained())
-    jacobian = np.stack([(residual(theta + e) - residual(theta - e)) / 2e-6 for e in units])
-    found = problem.curvature(theta, step)
-    np.testing.assert_allclose(found, jacobian @ bend, rtol=1e-4, atol=1e-8)
-
-
 def test_weights_taken_out_of_a_network_stay_when_it_is_given_others():
     net = net_of(make_model(NarxConfig(lags=1, hidden=1), outputs=1))
     weights = net.weights()

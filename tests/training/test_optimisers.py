@@ -1,7 +1,4 @@
-"""Optimisers on problems whose answers are known, against those of scipy and torch.
-
-Bent steps reach the same optimum as straight ones, in fewer steps where valleys bend.
-"""
+"""Optimisers on problems whose answers are known, against those of scipy and torch."""
 
 from dataclasses import dataclass
 from itertools import islice
@@ -13,9 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
-from training.optimisers import Damping, adam, minimise, minimise_geodesic
-
-STRAIGHT_AND_BENT = pytest.mark.parametrize("descend", [minimise, minimise_geodesic])
+from training.optimisers import Damping, adam, minimise
 
 
 @dataclass
@@ -57,16 +52,6 @@ def decay_curve(theta):
     return theta[0] * np.exp(-theta[1] * time) + theta[2] - target
 
 
-class Curved(LeastSquares):
-    """Least squares that tells how the residuals bend, by central differences."""
-
-    def curvature(self, theta, step):
-        ahead, here, behind = (self.residual(theta + s * step) for s in (1e-3, 0.0, -1e-3))
-        bend = (ahead - 2.0 * here + behind) / 1e-6
-        columns = [self.residual(theta + 1e-30j * unit).imag / 1e-30 for unit in np.eye(len(theta))]
-        return np.stack(columns) @ bend
-
-
 def test_a_linear_problem_is_solved_in_few_steps():
     problem, matrix, target = linear_problem()
     steps = list(islice(minimise(problem, np.zeros(5)), 6))
@@ -80,45 +65,39 @@ def test_the_curved_valley_of_rosenbrock_is_followed_to_its_end(start):
     np.testing.assert_allclose(steps[-1].theta, [1.0, 1.0], atol=1e-6)
 
 
-@STRAIGHT_AND_BENT
-def test_the_optimum_is_that_of_scipy(descend):
+def test_the_optimum_is_that_of_scipy():
     start = np.array([1.0, 0.5, 0.0])
-    *_, last = islice(descend(Curved(decay_curve), start), 60)
+    *_, last = islice(minimise(LeastSquares(decay_curve), start), 60)
     theirs = least_squares(decay_curve, start, method="lm", xtol=1e-14, ftol=1e-14)
     np.testing.assert_allclose(last.theta, theirs.x, rtol=1e-6)
     assert last.loss == pytest.approx(theirs.cost, rel=1e-9)
 
 
-@STRAIGHT_AND_BENT
-def test_decay_is_a_ridge(descend):
+def test_decay_is_a_ridge():
     problem, matrix, target = linear_problem()
-    curved = Curved(problem.residual)
-    curved.curvature = lambda theta, _: np.zeros_like(theta)
-    *_, last = islice(descend(curved, np.ones(5), decay=3.0), 12)
+    *_, last = islice(minimise(problem, np.ones(5), decay=3.0), 12)
     exact = np.linalg.solve(matrix.T @ matrix + 3.0 * np.eye(5), matrix.T @ target)
     np.testing.assert_allclose(last.theta, exact, rtol=1e-7)
 
 
-@STRAIGHT_AND_BENT
 @settings(max_examples=25, deadline=None)
 @given(start=st.tuples(st.floats(-3, 3), st.floats(-3, 3)), decay=st.sampled_from([0.0, 1e-3, 0.3]))
-def test_every_step_goes_downhill(descend, start, decay):
-    theta, problem = np.array(start), Curved(rosenbrock)
+def test_every_step_goes_downhill(start, decay):
+    theta, problem = np.array(start), LeastSquares(rosenbrock)
     before = problem.loss(theta) + 0.5 * decay * float(theta @ theta)
-    for step in islice(descend(problem, theta, decay), 30):
+    for step in islice(minimise(problem, theta, decay), 30):
         assert step.loss < before
         before = step.loss
 
 
-@STRAIGHT_AND_BENT
 @settings(max_examples=12, deadline=None)
 @given(stop=st.integers(1, 9))
-def test_stopping_anywhere_and_going_on_is_the_same_path(descend, stop):
-    problem, start = Curved(decay_curve), np.array([5.0, 4.0, -3.0])
-    whole = list(islice(descend(problem, start), 10))
+def test_stopping_anywhere_and_going_on_is_the_same_path(stop):
+    problem, start = LeastSquares(decay_curve), np.array([5.0, 4.0, -3.0])
+    whole = list(islice(minimise(problem, start), 10))
     stop = min(stop, len(whole))
     kept = whole[stop - 1]
-    rest = islice(descend(problem, kept.theta, damping=kept.damping), len(whole) - stop)
+    rest = islice(minimise(problem, kept.theta, damping=kept.damping), len(whole) - stop)
     for one, other in zip(whole[stop:], rest, strict=True):
         assert np.array_equal(one.theta, other.theta)
         assert one.loss == other.loss
@@ -156,33 +135,6 @@ def test_damping_follows_nielsens_rule():
     assert Damping(1.0).better(0.5) == Damping(1.0)
     assert Damping(1.0).better(0.0) == Damping(2.0)
     assert Damping(1e-12).better(1.0).value == 1e-12
-
-
-def steps_to_the_end(descend, start):
-    path = islice(descend(Curved(rosenbrock), np.array(start)), 200)
-    return next(k for k, step in enumerate(path, 1) if step.loss < 1e-12)
-
-
-def test_rosenbrocks_valley_is_followed_in_fewer_steps_than_straight_ones_take():
-    start = (-1.2, 1.0)
-    straight = steps_to_the_end(minimise, start)
-    assert steps_to_the_end(minimise_geodesic, start) < 0.7 * straight
-
-
-@pytest.mark.parametrize("bend", [1e3, np.nan])
-def test_a_step_that_bends_too_much_is_not_taken_before_it_is_short(bend):
-    problem = Curved(rosenbrock)
-    asked = []
-
-    def curvature(theta, step):
-        asked.append(float(step @ step))
-        return np.full(2, bend) if len(asked) < 4 else np.zeros(2)
-
-    problem.curvature = curvature
-    first = next(minimise_geodesic(problem, np.array([-1.2, 1.0]), damping=Damping(1.0)))
-    assert len(asked) >= 4
-    assert asked == sorted(asked, reverse=True)
-    assert first.loss < problem.loss(np.array([-1.2, 1.0]))
 
 
 # Adam.

@@ -277,11 +277,3 @@ def test_agreement_is_what_the_sources_have_in_common():
     assert agreed(-1.0, 5.0) == 0.0
     assert agreed(1.0, 2.0, 90.0) == 2.0
     assert np.isnan(agreed(3.0, np.nan, np.nan))
-
-
-def test_a_bank_of_an_earlier_version_knows_scatter_by_its_prior(bank):
-    older = {**bank.to_json(), "level": dict.fromkeys(CHANNELS, 0.01), "wander": {}}
-    del older["steps"], older["late"]
-    stored = Bank.from_json(json.loads(json.dumps(older)))
-    assert examined(stored, engine(21)) == ()
-    assert stored.scatter["N1_pct"].limit(1e-3) > bank.scatter["N1_pct"].limit(1e-3)

@@ -307,7 +307,7 @@ class Budget:
         found = asdict(self.verdict)
         found["effects"] = list(self.verdict.effects)
         found["ambiguous_with"] = list(self.verdict.ambiguous_with)
-        return found | {"besides": "", "none": self.none, "unknown": self.unknown}
+        return found | {"none": self.none, "unknown": self.unknown}
 
 
 def cause_row(one: Cause) -> dict[str, Any]:

@@ -49,7 +49,7 @@ class Magnitude(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """`truth` is the row of the key, `answer` a document of narxcal.gap/1 or /2, or a failure."""
+    """`truth` is the row of the key, `answer` a `gap.json` or a failure."""
 
     name: str
     truth: Mapping[str, Any]

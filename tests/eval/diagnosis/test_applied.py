@@ -142,20 +142,27 @@ def test_logs_that_do_not_fit_are_refused(signals, fly, log_of):
         ("{", "not JSON"),
         ("[]", "expected schema 'narxcal.gap/2', found None"),
         ('{"schema": "narxcal.evaluate/1"}', "found 'narxcal.evaluate/1'. Name the gap.json"),
-        ('{"schema": "narxcal.gap/1"}', "a part is missing or damaged: KeyError: 'quality'"),
         (
-            '{"schema": "narxcal.gap/1", "quality": {"signals": {"inputs": []}}}',
+            '{"schema": "narxcal.gap/1"}',
+            (
+                "expected schema 'narxcal.gap/2', found 'narxcal.gap/1'. Name the gap.json that "
+                "narxcal diagnose wrote, or diagnose again"
+            ),
+        ),
+        ('{"schema": "narxcal.gap/2"}', "a part is missing or damaged: KeyError: 'quality'"),
+        (
+            '{"schema": "narxcal.gap/2", "quality": {"signals": {"inputs": []}}}',
             "a part is missing or damaged: KeyError: 'outputs'. Name the gap.json",
         ),
         (
             (
-                '{"schema": "narxcal.gap/1", "quality": {"signals": {"inputs": [], "outputs": [], '
+                '{"schema": "narxcal.gap/2", "quality": {"signals": {"inputs": [], "outputs": [], '
                 '"dt_s": 1.0, "driver": 0, "low": [], "high": [], "lever": [0.0]}}}'
             ),
             "a part is missing or damaged: TypeError",
         ),
         (
-            '{"schema": "narxcal.gap/1", "effects": ["sensor_lag"]}',
+            '{"schema": "narxcal.gap/2", "effects": ["sensor_lag"]}',
             "a part is missing or damaged: AttributeError",
         ),
     ],
@@ -171,7 +178,7 @@ def test_what_is_no_diagnosis_is_refused(tmp_path, text, problem):
 
 def test_what_diagnose_stored_comes_back(tmp_path, signals):
     stored = {
-        "schema": "narxcal.gap/1",
+        "schema": "narxcal.gap/2",
         "verdict": {"effects": ["sensor_lag:EGT_C"]},
         "effects": [
             {"id": "sensor_lag", "channel": "EGT_C", "parameters": {"tau_s": {"value": 1.5}}}
@@ -209,7 +216,7 @@ def test_of_two_flights_of_one_name_no_window_is_known(tmp_path, signals):
     spells.append(window("f2", 30.0, held_out=True))
     load = {"id": "unlogged_switch", "parameters": {}, "windows": spells}
     stored = {
-        "schema": "narxcal.gap/1",
+        "schema": "narxcal.gap/2",
         "verdict": {"effects": ["unlogged_switch"]},
         "effects": [load],
         "quality": {

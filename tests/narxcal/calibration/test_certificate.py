@@ -1,7 +1,5 @@
 """Does a model settle at constant inputs: what is known to settle does, what hunts is found."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
@@ -37,19 +35,20 @@ def steady():
     return SteadyTable((INPUTS, OUTPUTS), corners, CENTRE + HALF * (corners[:, :1] / 40.0 - 1.0))
 
 
-def lags(form, seed=None, spread=0.3, *, explicit=False):
+def lags(form, seed=None, spread=0.3):
     scales = {"centre": CENTRE, "half": HALF, "limit": 0.8 * HALF}
     engine, table = start_engine(OUTPUTS, form, scales)
     if seed is not None:
         drawn = np.random.default_rng(seed).normal(size=len(engine.theta))
         engine.theta[:] += spread * np.where(table.fitted, drawn, 0.0)
-    return replace(engine, explicit=explicit)
+    return engine
 
 
-def network(lag, settle_s, feedback=0.3, seed=0):
+def network(lag, settle_s, feedback=0.3, seed=0, *, anchored=True):
     """A drawn network whose linear feedback is `feedback` times one; inputs saturate."""
     torch.manual_seed(seed)
-    moving, width = (3, 6) if lag is None else (6, 9)
+    width = 6 if lag is None else 9
+    moving = (width - 3) * anchored
     net = NarxNet(NarxConfig(lags=1, taps=(0,), hidden=4, moving=moving), width, 3)
     net.low[:], net.high[:] = -0.3, 0.3
     weights = net.weights()
@@ -125,17 +124,6 @@ def test_a_response_without_damping_hunts():
     )
 
 
-def hunting(explicit):
-    lag = lags(Form(governed=True), explicit=explicit)
-    lag.arrays["lines"][[1, 3, 7], 0] += 1.5  # gain, lead and push that overcome the explicit step
-    return network(lag, 30.0)
-
-
-def test_lags_of_an_older_folder_may_hunt_where_the_present_ones_do_not():
-    assert not certify(hunting(explicit=True)).settled
-    assert certify(hunting(explicit=False)).settled
-
-
 def test_a_network_that_does_not_settle_is_bounded():
     wild = network(lags(Form()), None, feedback=1.2)
     assert not certify(wild).settled
@@ -145,8 +133,8 @@ def test_a_network_that_does_not_settle_is_bounded():
     assert lost == (f"the network {certify(wild).words}: it has a decay bound of 30 s now",)
 
 
-def test_lags_that_hunt_give_way_to_first_order_lags():
-    model = hunting(explicit=True)
+def test_what_no_decay_bounds_gives_way_to_first_order_lags():
+    model = network(lags(Form()), None, feedback=1.2, anchored=False)
     simple = [Member("first_order", k, 0.1, 0.2) for k in range(3)]
     left, found, lost = settling(model, simple)
     assert found.settled

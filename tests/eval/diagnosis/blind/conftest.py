@@ -112,7 +112,7 @@ def answer_row(kind="effects", effects=("spool_lag",), rivals=(), listed=None, *
         row = {"id": effect, "probability": probability}
         rows.append(row | ({"channel": channel} if channel else {}))
     return {
-        "schema": "narxcal.gap/1",
+        "schema": "narxcal.gap/2",
         "verdict": {
             "kind": kind,
             "effects": list(effects),
