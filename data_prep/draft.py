@@ -228,12 +228,14 @@ def _values(table: Table, names: Sequence[str], unused: dict[str, str]) -> dict[
 
     What cannot be read is `unused`, with the reason.
     """
+    if not names:
+        return {}
     words = dict.fromkeys(names, switch)
     words.pop(table.clock, None)
     try:
         blocks = list(islice(table.blocks(names, words=words), _BLOCKS))
     except DataError as error:
-        bad = [error.channel] if error.channel in names else [*names]
+        bad = [name for name in names if name == error.channel] or [*names]
         if len(bad) == len(names) > 1:
             return {k: v for name in names for k, v in _values(table, [name], unused).items()}
         unused.update(dict.fromkeys(bad, error.problem))
@@ -326,15 +328,15 @@ class _Drafting:
                 self.unused[column] = "of no single engine"
             elif reading.command and reading.channel not in SPOOLS:
                 self.unused[column] = "a demanded value"
-            elif (
-                role in ("output", "lever")
-                and len(np.unique(_finite(self.values[column]))) < _FEWEST
-            ):
+            elif role in ("output", "lever") and self._stays(column):
                 self.unused[column] = "without a value that changes"
             else:
                 key = "command" if reading.command else reading.channel
                 templates.setdefault(key, {}).setdefault(reading.template, []).append(column)
         return {name: self._best(name, found) for name, found in templates.items()}
+
+    def _stays(self, column: str) -> bool:
+        return len(np.unique(_finite(self.values[column]))) < _FEWEST
 
     def _best(self, name: str, templates: Mapping[str, list[str]]) -> list[str]:
         """Return the columns of the template whose name leaves least doubt.

@@ -137,16 +137,14 @@ def header_at(lines: Sequence[str], comment: str, time: str) -> tuple[int, int] 
         widths = [_widths(cells) for cells in rows if _is_tabular([cells])]
         for k in above:
             cells = fields(lines[k] if k in filled else uncommented(lines[k], comment), delimiter)
-            agrees = len(cells) > 1 and 2 * sum(
-                map(bool, map(_widths(cells).__and__, widths))
-            ) > len(rows)
+            agreeing = sum(bool(_widths(cells) & each) for each in widths)
+            agrees = len(cells) > 1 and 2 * agreeing > len(rows)
             own = (k in filled, delimiter != " ")
             if time in cells:
                 best = max(best, ((2, agrees, *own, -k), k))
             elif agrees and _names_columns(cells):
-                best = max(
-                    best, ((1, *own, sum(read_name(each) is not None for each in cells), k), k)
-                )
+                named = sum(read_name(each) is not None for each in cells)
+                best = max(best, ((1, *own, named, k), k))
     return best[1], sum(k < best[1] for k in filled)
 
 
