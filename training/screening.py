@@ -63,18 +63,43 @@ def screened(bank: Bank | None, logs: Sequence[Log]) -> list[Log]:
         more or (() if one is None else _examine(one))
         for more, one in zip(found, subjects, strict=True)
     ]
+    found = _of_all_engines(logs, found)
     return [
         replace(log, findings=(*log.findings, *more)) for log, more in zip(logs, found, strict=True)
     ]
 
 
+def _of_all_engines(
+    logs: Sequence[Log], found: Sequence[tuple[Finding, ...]]
+) -> list[tuple[Finding, ...]]:
+    """Leave out what is said of a column that engines share by the residuals of some of them."""
+    said = [{(each.kind, each.channel) for each in some} for some in found]
+
+    def stands(finding: Finding, log: Log) -> bool:
+        name = finding.channel
+        return all(
+            (finding.kind, name) in theirs
+            for mate, theirs in zip(logs, said, strict=True)
+            if _is_mate(log, mate)
+            and {name} <= mate.channels.keys() & log.channels.keys()
+            and np.array_equal(mate[name], log[name], equal_nan=True)
+        )
+
+    return [
+        tuple(each for each in some if stands(each, log))
+        for log, some in zip(logs, found, strict=True)
+    ]
+
+
+def _is_mate(log: Log, one: Log) -> bool:
+    """Whether `one` is the log of another engine at the same times."""
+    apart = one.source.engine != log.source.engine and one.source.file == log.source.file
+    return apart and len(one) == len(log) and one.time_s[0] == log.time_s[0]
+
+
 def _mate(log: Log, logs: Sequence[Log]) -> Log | None:
-    """The log of another engine at the same times."""
-    for one in logs:
-        apart = one.source.engine != log.source.engine and one.source.file == log.source.file
-        if apart and len(one) == len(log) and one.time_s[0] == log.time_s[0]:
-            return one
-    return None
+    """The log of another engine at the same times, the first of several."""
+    return next((one for one in logs if _is_mate(log, one)), None)
 
 
 @dataclass(frozen=True, eq=False)
