@@ -244,11 +244,12 @@ def frozen(log: Log, name: str, config: FaultsConfig) -> BoolArray:
     values, found = log[name], unnatural(log, name, config.frozen_s)
     levels = [float(values[start]) for start, _ in found]
     for start, stop in found:
-        if _standstill(values, start) or _at_stop(values, start, stop):
-            continue
-        if levels.count(float(values[start])) > 1 and _rests(log, name, start, stop):
-            continue
-        if abs(values[start]) < 1e-9 and followed(log, name, start, stop):
+        if abs(values[start]) < 1e-9:  # what a lost sensor shows
+            sound = followed(log, name, start, stop)
+        else:
+            again = levels.count(float(values[start])) > 1
+            sound = _at_stop(values, start, stop) or (again and _rests(log, name, start, stop))
+        if sound or _standstill(values, start):
             continue
         mask[start:stop] = True
     return mask

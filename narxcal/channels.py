@@ -108,8 +108,8 @@ FIELD_NAMES: dict[str, tuple[str, ...]] = {
         "WAI": "wai, wing anti ice, wing deice",
         "N1_pct": "n1, nl, nf, fan, fan speed, n1 speed, lp speed, lp spool speed, lp rotor speed, "
         "low pressure spool speed, xnl, rpm, shaft speed, rotor speed, spool speed, n1 rpm, "
-        "drehzahl, niederdruckdrehzahl, fandrehzahl, regime, vitesse rotation, revoluciones, "
-        "regimen",
+        "drehzahl, niederdruckdrehzahl, fandrehzahl, regime, regime moteur, vitesse rotation, "
+        "revoluciones, regimen",
         "N2_pct": "n2, nh, ng, ngg, core, core speed, n2 speed, hp speed, hp spool speed, "
         "hp rotor speed, high pressure spool speed, gas generator speed, xnh, n2 rpm, "
         "hochdruckdrehzahl, gasgeneratordrehzahl",

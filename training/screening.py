@@ -23,7 +23,7 @@ from itertools import combinations
 import numpy as np
 
 from data_prep.log import Finding, Kind, Log
-from data_prep.plausibility import conversions, sound_air
+from data_prep.plausibility import conversions
 from narxcal.channels import CHANNELS, symbol
 from narxcal.support.arrays import BoolArray, FloatArray, spans
 from training.redundancy import (
@@ -63,43 +63,18 @@ def screened(bank: Bank | None, logs: Sequence[Log]) -> list[Log]:
         more or (() if one is None else _examine(one))
         for more, one in zip(found, subjects, strict=True)
     ]
-    found = _of_all_engines(logs, found)
     return [
         replace(log, findings=(*log.findings, *more)) for log, more in zip(logs, found, strict=True)
     ]
 
 
-def _of_all_engines(
-    logs: Sequence[Log], found: Sequence[tuple[Finding, ...]]
-) -> list[tuple[Finding, ...]]:
-    """Leave out what is said of a column that engines share by the residuals of some of them."""
-    said = [{(each.kind, each.channel) for each in some} for some in found]
-
-    def stands(finding: Finding, log: Log) -> bool:
-        name = finding.channel
-        return all(
-            (finding.kind, name) in theirs
-            for mate, theirs in zip(logs, said, strict=True)
-            if _is_mate(log, mate)
-            and {name} <= mate.channels.keys() & log.channels.keys()
-            and np.array_equal(mate[name], log[name], equal_nan=True)
-        )
-
-    return [
-        tuple(each for each in some if stands(each, log))
-        for log, some in zip(logs, found, strict=True)
-    ]
-
-
-def _is_mate(log: Log, one: Log) -> bool:
-    """Whether `one` is the log of another engine at the same times."""
-    apart = one.source.engine != log.source.engine and one.source.file == log.source.file
-    return apart and len(one) == len(log) and one.time_s[0] == log.time_s[0]
-
-
 def _mate(log: Log, logs: Sequence[Log]) -> Log | None:
-    """The log of another engine at the same times, the first of several."""
-    return next((one for one in logs if _is_mate(log, one)), None)
+    """The log of another engine at the same times."""
+    for one in logs:
+        apart = one.source.engine != log.source.engine and one.source.file == log.source.file
+        if apart and len(one) == len(log) and one.time_s[0] == log.time_s[0]:
+            return one
+    return None
 
 
 @dataclass(frozen=True, eq=False)
@@ -550,8 +525,8 @@ _FAULT = 0.2  # standard deviation of the share by which faults scale or shift a
 def _restored(subject: _Subject) -> tuple[Finding, ...]:
     """Another unit or an exchange that makes a log sound, and more so than an error of one channel.
 
-    Where channels cannot be compared they may be beyond what training logs show; but a flight in
-    air where no training log has been is not one in another unit of altitude or speed.
+    Where channels cannot be compared they may be beyond what training logs show. Air data are not
+    accused: engines share them, and what physics allows no statistic of one engine refutes.
     """
     if not subject.whole:
         return ()
@@ -561,8 +536,6 @@ def _restored(subject: _Subject) -> tuple[Finding, ...]:
         return ()
     best: tuple[float, _Other | None] = _scaled(subject, before), None
     for each in _others(subject):
-        if not comparable and each.channel in AIR:
-            continue
         after = _fit(subject, subject.signals.having(each.values))
         least = len(before.levels) if comparable else len(subject.sensed)
         gain = _log_likelihood(subject, after.levels)
@@ -619,9 +592,7 @@ def _others(subject: _Subject) -> Iterator[_Other]:
         if CHANNELS[a].unit == CHANNELS[b].unit:
             text = f"{symbol(a)} and {symbol(b)} fit the training logs when exchanged"
             yield _Other("exchanged", a, text, {a: values[b], b: values[a]}, b)
-    sound = sound_air(subject.log)
-    air = [name for name in ("ALT_ft", "Mach") if name in values and name not in sound]
-    for name in (*subject.sensed, *air):
+    for name in subject.sensed:
         for word, scale, offset in conversions(name) if subject.log.recorded([name]) else ():
             text = f"looks like {word}: median {np.nanmedian(subject.log[name]):.4g}"
             other = {name: scale * values[name] + offset}
