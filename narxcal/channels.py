@@ -86,7 +86,7 @@ FIELD_NAMES: dict[str, tuple[str, ...]] = {
         "time_s": "time, t, timestamp, utc, gmt, elapsed, elapsed time, relative time, clock, "
         "frame time, sec, seconds, recorder time, utc time, gmt time, sample time, time stamp, "
         "elapsed flight time, local time, lcl time, relative seconds, "
-        "zeit, uhrzeit, zeitstempel, messzeit, temps, heure, horodatage, tiempo, hora",
+        "zeit, uhrzeit, zeitstempel, messzeit, temps, heure, horodatage, tiempo, hora, real time",
         "TRA_deg": "tra, tla, pla, throttle, lever, power lever, thrust lever, throttle lever, "
         "throttle resolver angle, throttle angle, throttle lever angle, thrust lever angle, "
         "power lever angle, throttle position, power lever position, thrust lever position, "
