@@ -204,7 +204,8 @@ def test_the_header_is_the_row_that_the_rows_below_agree_with(tmp_path):
 @pytest.mark.parametrize(
     ("name", "channel"),
     [
-        ("Temps", "time_s"), ("_real,_time", "time_s"), ("tiempo [s]", "time_s"), ("R\xe9gime moteur", "N1_pct"),
+        ("Temps", "time_s"), ("_real,_time", "time_s"), ("tiempo [s]", "time_s"),
+        ("R\xe9gime moteur", "N1_pct"),
         ("D\xe9bit de carburant [kg/h]", "FF_kgph"), ("Caudal de combustible", "FF_kgph"),
         ("Au\xdfentemperatur", "SAT_C"), ("Velocidad indicada", "CAS_kt"),
         ("Drehzahl N2", "N2_pct"), ("rec/eng1/N1", "N1_pct"), ("Fuel/Used", None),
