@@ -144,7 +144,7 @@ def units_that_agree(
     """Return the units in which alone air data `(rows,)` agree, by channel.
 
     `possible` are the units of each channel but Mach, which has none. A channel with several units
-    that agree with some units of the others is left out.
+    that agree with some units of the others, or cannot be tested with them, is left out.
     """
     most = max(map(len, air.values()), default=1)
     rows = np.linspace(0, most - 1, _ROWS)
@@ -163,12 +163,15 @@ def units_that_agree(
 
 
 def _agree(air: Mapping[str, FloatArray]) -> bool:
-    """Whether air data `(rows,)` give one Mach number, in each way that there is, and usual air."""
+    """Whether air data `(rows,)` give one Mach number, in each way that there is, and usual air.
+
+    Without flight at a Mach number at which they show it nothing contradicts them.
+    """
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         machs = [*([air["Mach"]] if "Mach" in air else []), *_machs(air)]
         flying = machs[0] > _FLYING if machs else np.zeros(0, dtype=np.bool_)
         if len(machs) < 2 or flying.sum() < _FEWEST:
-            return False
+            return True
         apart = [float(np.median(np.abs(each / machs[0] - 1.0)[flying])) for each in machs[1:]]
     if not max(apart) < _SAME_MACH:  # NaN is none
         return False

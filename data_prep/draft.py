@@ -2,7 +2,8 @@
 
 What a file or a name says is taken. A unit that neither says is taken where the data exclude all
 others: by the highest value of a running engine, or by the air data, which agree with each other in
-one set of units alone. Whatever is left stays open: `"?"`, which no command runs with.
+one set of units alone. Whatever is left stays open: `"?"`, which no command runs with. So each file
+of numbers gives a draft, be nothing in it known but the names of its columns.
 """
 
 from __future__ import annotations
@@ -16,14 +17,12 @@ from pathlib import Path
 
 import numpy as np
 
-from data_prep.binary_source import open_binary
+from data_prep.binary_source import ArraySource, open_binary
 from data_prep.columns import Table, unit_text
 from data_prep.config import ENGINE, LogsConfig
-from data_prep.csv_source import readable
+from data_prep.csv_source import open_csv
 from data_prep.derive import filled, units_that_agree
-from data_prep.log_file import open_table
 from data_prep.naming import PER_MINUTE, Reading, declarable, fits, read_name
-from data_prep.text_file import DELIMITERS, fields, first_lines, has_content, open_text
 from data_prep.units import find_unit, is_volume_flow, named_unit, to_canonical
 from data_prep.words import code_words, switch
 from narxcal.channels import CHANNELS, SPOOLS, described
@@ -32,8 +31,10 @@ from narxcal.support.errors import DataError
 from narxcal.support.settings import OPEN
 
 _BLOCKS = 20  # of 50,000 rows that are looked at
-_LINES = 50  # in which a header is looked for
-_FEWEST = 2  # names of channels in a header, and values of a channel
+_FEWEST = 2  # values of a channel
+_ANY = 1e30  # a range that any value of a declared channel lies in
+# Keys of [logs] that a file may leave open, and the values with which it is looked at.
+_ASSUMED: Mapping[str, object] = {"dates": "DMY", "frames_hz": 25.0, "decimal": ","}
 # In which units a channel is recorded, and between which values (canonical) the highest one of a
 # recording of a running engine lies.
 _UNITS: Mapping[str, tuple[str, ...]] = {
@@ -97,6 +98,7 @@ class Draft:
 
     `unused` are columns that may be channels and were not taken, with the reason; `others` those
     that are no channel of the table and may be declared; `unknown` those whose name says nothing.
+    `assumed` are keys of [logs] that are open, with the values with which the file was looked at.
     """
 
     lines: tuple[Line, ...]
@@ -104,6 +106,7 @@ class Draft:
     unused: Mapping[str, str] = field(default_factory=dict)
     others: tuple[Line, ...] = ()
     unknown: tuple[str, ...] = ()
+    assumed: Mapping[str, object] = field(default_factory=dict)
 
     def logs(self, **keys: object) -> LogsConfig:
         """Return the table [logs] in which what is open is left as recorded, to look at the logs.
@@ -111,7 +114,7 @@ class Draft:
         A speed whose scale is open gets 100 at its highest.
         """
         columns = {}
-        for line in self.lines:
+        for line in (*self.lines, *self.others):
             known = {key: value for key, value in line.keys.items() if value != OPEN}
             if "column" not in known:
                 continue
@@ -119,9 +122,15 @@ class Draft:
                 if line.keys.get(key) == OPEN:
                     known[key] = line.assumed
             if line.keys.get("unit") == OPEN:
-                known["unit"] = CHANNELS[line.channel].unit
+                known["unit"] = described(line.channel).unit
             columns[line.channel] = known
-        return LogsConfig.parse({**keys, "engines": dict(self.engines), "columns": columns})
+        placed = any(ENGINE in str(each["column"]) for each in columns.values())
+        tables = {
+            "engines": dict(self.engines) if placed else {},
+            "channels": {line.channel: {"range": (-_ANY, _ANY)} for line in self.others},
+            "columns": columns,
+        }
+        return LogsConfig.parse({**self.assumed, **keys, **tables})
 
     def where_there(self, headers: Sequence[Sequence[str]]) -> Draft:
         """Return the same with columns that one of the headers lacks as optional."""
@@ -132,77 +141,105 @@ class Draft:
             names = [column.replace(ENGINE, mark) for mark in marks]
             return any(name not in header for header in headers for name in names)
 
-        lines = [
-            replace(line, keys={**line.keys, "optional": True})
-            if line.channel != "time_s" and lacking(line)
-            else line
-            for line in self.lines
-        ]
-        return replace(self, lines=tuple(lines))
+        lines, others = (
+            tuple(
+                replace(line, keys={**line.keys, "optional": True})
+                if line.channel != "time_s" and lacking(line)
+                else line
+                for line in some
+            )
+            for some in (self.lines, self.others)
+        )
+        return replace(self, lines=lines, others=others)
 
 
 def draft(paths: Sequence[Path]) -> Draft:
     """Draft the columns and engines of files of any format that narxcal reads, by the first one.
 
-    What another file lacks becomes optional. Raises `DataError` for a file that cannot be read, or
-    none of whose columns is of an engine.
+    What another file lacks becomes optional. Raises `DataError` for a file that cannot be read.
     """
-    path = paths[0]
-    table, time = _open(path)
+    unused: dict[str, str] = {}
+    table, assumed, time = _open(paths[0], unused)
     readings = {
         column: reading
         for column in table.header
         if (reading := read_name(column, unit_text(table, column, "")))
         and (reading.channel != "time_s" or column == time)
     }
-    if not any(CHANNELS[each.channel].role == "output" for each in readings.values()):
-        raise DataError(
-            "no column has the name of an engine's channel",
-            file=path,
-            hint=f"Write [logs.columns] by hand. The file has {', '.join(table.header[:12])}",
-        )
-    found = _Drafting(table, readings, _values(table, list(readings))).draft()
-    return found.where_there([table.header, *(_open(each)[0].header for each in paths[1:])])
+    values = _values(table, list(readings), unused)
+    rows = [len(values[time])] if time else [*map(len, values.values())]
+    usual = max(rows, key=rows.count, default=0)
+    other = [name for name, own in values.items() if len(own) != usual]
+    unused.update(dict.fromkeys(other, "of other rows than the others"))
+    known = {name: each for name, each in readings.items() if name not in unused}
+    found = _Drafting(table, known, values, unused).draft()
+    headers = [table.header, *(_source(each, {}, "").header for each in paths[1:])]
+    return replace(found, assumed=assumed).where_there(headers)
 
 
-def _open(path: Path) -> tuple[Table, str]:
-    """Open a file whose columns are not mapped, and find its column of time; "" for none."""
-    binary = open_binary(path, "")
-    if binary:
-        time = ("" if binary.rated else _time_of(binary.header)) or "time_s"
-    else:
-        with readable(path), open_text(path) as text:
-            time = _time_of(_header(first_lines(text, _LINES)))
-    known = {"columns": {"time_s": {"column": time}}} if time else {}
-    return open_table(path, LogsConfig.parse(known)), time
+def _open(path: Path, unused: dict[str, str]) -> tuple[Table, dict[str, object], str]:
+    """Open a file, with what it leaves open and its first column of stamps that rise, or "".
+
+    Why others were not taken is added to `unused`.
+    """
+    table = _source(path, {}, "")
+    if isinstance(table, ArraySource) and table.rated:
+        return _source(path, {}, "time_s"), {}, "time_s"
+    read = ((name, read_name(name, unit_text(table, name, "time_s"))) for name in table.header)
+    for name in [name for name, each in read if each and _is_time(each)]:
+        assumed: dict[str, object] = {}
+        try:
+            found = _source(path, assumed, name)
+            stamps = _values(found, [name], unused)
+        except DataError as error:
+            unused[name] = error.problem
+            continue
+        if name in stamps and _rises(stamps[name]):
+            return found, assumed, name
+        unused.setdefault(name, "stamps that do not rise")
+    return table, {}, ""
 
 
-def _header(lines: Sequence[str]) -> tuple[str, ...]:
-    """Return the cells of the line that names most channels; () where none names two."""
-    best: tuple[int, tuple[str, ...]] = (_FEWEST - 1, ())
-    for line in (line for line in lines if has_content(line, "")):
-        for delimiter in (*DELIMITERS, " "):
-            cells = fields(line.lstrip("#"), delimiter)
-            named = sum(read_name(cell) is not None for cell in cells)
-            best = max(best, (named, cells), key=lambda each: each[0])
-    return best[1]
-
-
-def _time_of(header: Sequence[str]) -> str:
-    """Return the first column that is named as time; "" for none."""
-    found = ((name, read_name(name)) for name in header)
-    return next((name for name, read in found if read and _is_time(read)), "")
+def _source(path: Path, assumed: dict[str, object], time: str) -> Table:
+    """Open a file by its column of stamps, "" for none; a key that it leaves open is `assumed`."""
+    columns = {"columns": {"time_s": {"column": time}}} if time else {}
+    try:
+        return open_binary(path, time) or open_csv(path, LogsConfig.parse({**assumed, **columns}))
+    except DataError as error:
+        asked = (key for key in _ASSUMED if f"[logs] {key}" in (error.hint or ""))
+        key = next((each for each in asked if each not in assumed), None)
+        if key is None:
+            raise
+        assumed[key] = _ASSUMED[key]
+        return _source(path, assumed, time)
 
 
 def _is_time(reading: Reading) -> bool:
     return reading.channel == "time_s" and reading.unit not in ("hour", "min")
 
 
-def _values(table: Table, names: Sequence[str]) -> dict[str, FloatArray]:
-    """Return the first rows of columns, without code words; words of switches are 0 and 1."""
+def _rises(stamps: FloatArray) -> bool:
+    steps = np.diff(stamps[np.isfinite(stamps)])
+    return bool(len(steps) and np.mean(steps >= 0.0) > 0.99 and steps.max() > 0.0)
+
+
+def _values(table: Table, names: Sequence[str], unused: dict[str, str]) -> dict[str, FloatArray]:
+    """Return the first rows of columns, without code words; words of switches are 0 and 1.
+
+    What cannot be read is `unused`, with the reason.
+    """
+    if not names:
+        return {}
     words = dict.fromkeys(names, switch)
     words.pop(table.clock, None)
-    blocks = list(islice(table.blocks(names, words=words), _BLOCKS))
+    try:
+        blocks = list(islice(table.blocks(names, words=words), _BLOCKS))
+    except DataError as error:
+        bad = [name for name in names if name == error.channel] or [*names]
+        if len(bad) == len(names) > 1:
+            return {k: v for name in names for k, v in _values(table, [name], unused).items()}
+        unused.update(dict.fromkeys(bad, error.problem))
+        return _values(table, [name for name in names if name not in bad], unused)
     if not blocks:
         raise DataError("no rows follow the header", file=table.path)
     found = {name: np.concatenate([block[name] for block in blocks]) for name in names}
@@ -224,17 +261,12 @@ class _Drafting:
     table: Table
     readings: dict[str, Reading]
     values: dict[str, FloatArray]
-    unused: dict[str, str] = field(default_factory=dict)
+    unused: dict[str, str]
 
     def draft(self) -> Draft:
         marks = self._engines()
         chosen = self._chosen(marks)
         lines = [self._time(chosen.pop("time_s", []))]
-        if not any(CHANNELS[name].role == "output" for name in chosen if name in CHANNELS):
-            why = "; ".join(f"{name}: {text}" for name, text in self.unused.items())
-            raise DataError(
-                "no column of an engine channel can be used", file=self.table.path, hint=why
-            )
         air = self._air({name: chosen[name][0] for name in _AIR if name in chosen})
         commands = chosen.pop("command", [])
         if "TRA_deg" not in chosen and commands:
@@ -247,28 +279,37 @@ class _Drafting:
         others = self._others(marks)
         own = [str(line.keys["column"]) for line in others]
         named = {each.replace(ENGINE, mark) for each in own for mark in marks or [""]}
-        named |= self.readings.keys()
+        named |= self.readings.keys() | self.unused.keys() | {self.table.clock}
         unknown = tuple(each for each in self.table.header if each.strip() and each not in named)
         return Draft(tuple(lines), engines, self.unused, others, unknown)
 
     def _others(self, marks: Collection[str]) -> tuple[Line, ...]:
         """Return lines of columns that are no channel, and have a unit of an engine's quantity."""
-        found: dict[str, Line] = {}
+        known: dict[str, tuple[str, str, str]] = {}
         for column in self.table.header:
             said = unit_text(self.table, column, "")
-            known = None if column in self.readings else declarable(column, said, marks)
-            if known and known[0] not in found and len(found) < _MOST_OTHERS:
-                name, template, unit = known
-                cells = to_canonical(_values(self.table, [column])[column], find_unit(unit, name))
+            left = column not in self.readings and column not in self.unused
+            found = declarable(column, said, marks) if left and len(known) < _MOST_OTHERS else None
+            if found:
+                known.setdefault(found[0], (column, *found[1:]))
+        values = _values(self.table, [column for column, *_ in known.values()], self.unused)
+        lines = []
+        for name, (column, template, unit) in known.items():
+            if column in values:
+                cells = to_canonical(values[column], find_unit(unit, name))
                 seen = f"{_high(cells, 0.001):.4g} to {_high(cells):.4g} {described(name).unit}"
-                found[name] = Line(name, {"column": template, "unit": unit}, seen)
-        return tuple(found.values())
+                lines.append(Line(name, {"column": template, "unit": unit}, seen))
+        return tuple(lines)
 
     def _engines(self) -> tuple[str, ...]:
-        """Return the marks of engines that most templates of engine channels share."""
+        """Return the marks of engines that most templates of engine channels share.
+
+        Temperatures alone show none: an engine has a probe at each cylinder or burner.
+        """
         of: dict[str, set[str]] = {}
         for reading in self.readings.values():
-            if reading.engine and CHANNELS[reading.channel].role in ("output", "lever"):
+            role = CHANNELS[reading.channel].role
+            if reading.engine and role in ("output", "lever") and reading.channel != "EGT_C":
                 of.setdefault(reading.template, set()).add(reading.engine)
         counts = Counter(tuple(sorted(marks)) for marks in of.values())
         return max(counts, key=lambda marks: (counts[marks], len(marks)), default=())
@@ -276,6 +317,9 @@ class _Drafting:
     def _chosen(self, marks: Sequence[str]) -> dict[str, list[str]]:
         """Channel -> its columns, that of the best template first; `command`: demanded speeds."""
         templates: dict[str, dict[str, list[str]]] = {}
+        if not marks:  # of one engine, each column stands for itself
+            alone = {name: each._replace(template=name) for name, each in self.readings.items()}
+            self.readings = {name: each._replace(engine="") for name, each in alone.items()}
         for column, reading in self.readings.items():
             role = CHANNELS[reading.channel].role
             if reading.engine and reading.engine not in marks:
@@ -284,18 +328,15 @@ class _Drafting:
                 self.unused[column] = "of no single engine"
             elif reading.command and reading.channel not in SPOOLS:
                 self.unused[column] = "a demanded value"
-            elif role != "switch" and len(np.unique(_finite(self.values[column]))) < _FEWEST:
+            elif role in ("output", "lever") and self._stays(column):
                 self.unused[column] = "without a value that changes"
-            elif reading.channel == "time_s" and not (_is_time(reading) and self._rises(column)):
-                self.unused[column] = "stamps that do not rise"
             else:
                 key = "command" if reading.command else reading.channel
                 templates.setdefault(key, {}).setdefault(reading.template, []).append(column)
         return {name: self._best(name, found) for name, found in templates.items()}
 
-    def _rises(self, column: str) -> bool:
-        steps = np.diff(self.values[column][np.isfinite(self.values[column])])
-        return bool(len(steps) and np.mean(steps >= 0.0) > 0.99 and steps.max() > 0.0)
+    def _stays(self, column: str) -> bool:
+        return len(np.unique(_finite(self.values[column]))) < _FEWEST
 
     def _best(self, name: str, templates: Mapping[str, list[str]]) -> list[str]:
         """Return the columns of the template whose name leaves least doubt.
@@ -330,12 +371,8 @@ class _Drafting:
 
     def _time(self, columns: Sequence[str]) -> Line:
         if not columns:
-            raise DataError(
-                "no column that rises has the name of a time",
-                file=self.table.path,
-                channel="time_s",
-                hint=f"Rename it time. The file has {', '.join(self.table.header[:8])}",
-            )
+            why = "no column of stamps that rise has the name of a time; without any, add one in s"
+            return Line("time_s", {"column": OPEN}, why)
         column = columns[0]
         if column == self.table.clock or (self.table.head.units and not self._unit(column)):
             return Line("time_s", {"column": column}, "clock times, dates or rates")
@@ -364,7 +401,7 @@ class _Drafting:
         found = [0.0]
         for name, reading in self.readings.items():
             filled = np.isfinite(self.values[name]) & np.isfinite(time)
-            if CHANNELS[reading.channel].role == "output" and filled.sum() > 1:
+            if CHANNELS[reading.channel].role in ("time", "output") and filled.sum() > 1:
                 found.append(float(np.median(np.diff(time[filled]))))
         return max(found)
 

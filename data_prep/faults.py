@@ -210,6 +210,9 @@ _MOTION_S = 2.0  # over which it is taken
 # outputs reverse the one before, even where the recorder has smoothed and the reader has
 # interpolated; 1 % of a noise-free simulation's.
 _REVERSALS = 0.02
+# Part of its range within which a channel rests: noise at idle of recorded speeds takes 0.6 %.
+_REST = 0.01
+_LARGEST_STEP = 0.1  # likewise, from a stop to the next sample; a dropout jumps further
 # Below this part of its highest value an engine does not run: it is cranked or windmills.
 _STANDSTILL = 0.05
 
@@ -230,20 +233,45 @@ def repeats(values: FloatArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 def frozen(log: Log, name: str, config: FaultsConfig) -> BoolArray:
     """Flag samples where an output repeats one value for longer than sound ones do.
 
-    Left alone is what lasts less than `frozen_s`, the zero of an engine at standstill and a cut of
-    fuel that the spools follow. Levers, ambient channels and switches may be constant.
+    Left alone is what lasts less than `frozen_s`, a value that comes back where all else that is
+    commanded and measured of the engine rests, a channel at its stop, the zero of an engine at
+    standstill and a cut of fuel that the spools follow. Levers, ambient channels and switches may
+    be constant.
     """
     mask = np.zeros(len(log), dtype=np.bool_)
     if log.channel(name).role != "output":
         return mask
-    for start, stop in unnatural(log, name, config.frozen_s):
-        values = log[name]
-        if _standstill(values, start):
-            continue
-        if abs(values[start]) < 1e-9 and followed(log, name, start, stop):
+    values, found = log[name], unnatural(log, name, config.frozen_s)
+    levels = [float(values[start]) for start, _ in found]
+    for start, stop in found:
+        if abs(values[start]) < 1e-9:  # what a lost sensor shows
+            sound = followed(log, name, start, stop)
+        else:
+            again = levels.count(float(values[start])) > 1
+            sound = _at_stop(values, start, stop) or (again and _rests(log, name, start, stop))
+        if sound or _standstill(values, start):
             continue
         mask[start:stop] = True
     return mask
+
+
+def _rests(log: Log, name: str, start: int, stop: int) -> bool:
+    """Whether commands and the other outputs rest: what depends on them may, too."""
+    others = [
+        robust_range(log[each][start:stop]) + robust_range(log[each])
+        for each in log.recorded(tuple(log.channels))
+        if each != name and role(each) in {"lever", "output"}
+    ]
+    return bool(others) and all(b - a <= _REST * (high - low) for a, b, low, high in others)
+
+
+def _at_stop(values: FloatArray, start: int, stop: int) -> bool:
+    """Whether a channel moves to its lowest or highest value and away again, without a jump."""
+    if values[start] not in (np.nanmin(values), np.nanmax(values)):
+        return False
+    around = values[[max(start - 1, 0), min(stop, len(values) - 1)]]
+    low, high = robust_range(values)
+    return bool(np.nanmax(np.abs(around - values[start])) <= _LARGEST_STEP * (high - low))
 
 
 def unnatural(log: Log, name: str, least_s: float) -> list[tuple[int, int]]:

@@ -11,6 +11,7 @@ import re
 from collections.abc import Collection, Iterator, Sequence
 from itertools import pairwise
 from typing import NamedTuple
+from unicodedata import normalize
 
 from data_prep.config import ENGINE
 from data_prep.units import base_unit, find_unit, is_pressure, is_volume_flow, named_unit
@@ -27,7 +28,9 @@ def _words(text: str) -> frozenset[str]:
 # Names that say a channel together with their unit alone: the speed of an engine of one spool, and
 # the pressure around it; and the word of that channel.
 _SPEED = ("n", "speed")
-_BAROMETER = _words("baro barometer barometric pbaro pamb p0 patm amb ambient pressure cell p test")
+_BAROMETER = _words(
+    "air baro barometer barometric pbaro pamb p0 patm amb ambient pressure cell p test"
+)
 _WORD = re.compile(r"%|[A-Z]?[a-z]+\d*|[A-Z]+\d*[A-Z]*(?![a-z])|\d+[A-Za-z]*|[A-Za-z]\w*")
 _IN_BRACKETS = re.compile(r"[\[({<]([^][(){}<>]*)[\])}>]\s*$")
 _SIDES = ("l", "r", "lh", "rh", "left", "right", "le", "re", "lft", "rgt", "port", "stbd")
@@ -38,7 +41,8 @@ _SIDED = re.compile(r"(l|r|lh|rh)(n[12]|egt|itt|ff|tla|pla|tra)")
 _AIR_DATA = re.compile(r"d?adc?\d?|adr\d?|airdata|fmc\d?|fdr|dfdr|fadec\d?|eec\d?|ecu|acms")
 _FILLERS = _words(
     "engine eng act actual ind meas measured value val raw lsp avg average mean std sensor probe "
-    "tach spool rotor turbine parameter param of the no number"
+    "tach spool rotor turbine parameter param of the no number drehzahl regime triebwerk moteur "
+    "motor der de du"
 )
 _COMMANDS = _words(
     "setpoint set sp cmd command commanded dem demand demanded target ref request requested"
@@ -80,26 +84,31 @@ def read_name(column: str, unit: str = "") -> Reading | None:
 
     Brackets that end it may hold its unit, which `data_prep.columns.unit_text` reads. With the
     `unit` that the file says, a name that any speed may have is read as the only spool's, and the
-    pressure around a test cell as the altitude that it stands for.
+    pressure around a test cell as the altitude that it stands for. The struct or group that a
+    column is in, as in `rec/time`, is no part of its name unless it names the engine.
     """
     if column in CHANNELS:  # also `dT_C`, of which a part is a step of time elsewhere
         return Reading(column, column, unit=column.partition("_")[2].casefold())
     brackets = _IN_BRACKETS.search(column)
     named = brackets is None or is_designation(brackets[1])
     own = column if brackets is None or named else column[: brackets.start()]
-    words = [_Word(found[0].casefold(), *found.span()) for found in _WORD.finditer(own)]
+    plain = "".join(normalize("NFD", letter)[0] for letter in own.replace("ß", "s"))
+    words = [_Word(found[0].casefold(), *found.span()) for found in _WORD.finditer(plain)]
     found = list(_readings(column, words))
     if not found and named_unit(unit) in (PER_MINUTE, "%"):
         turns = [word._replace(text=PER_MINUTE) if word.text in _SPEED else word for word in words]
         found = list(_readings(column, turns))
     if not found and is_pressure(unit) and _is_barometer([word.text for word in words]):
         found = [Reading("ALT_ft", column)]
+    group, _, inner = column.partition("/")
+    if not found and group.isidentifier() and (read := read_name(inner, unit)):
+        return read._replace(template=f"{group}/{read.template}")
     return min(found, key=lambda each: each.doubt, default=None)
 
 
 def _is_barometer(words: Sequence[str]) -> bool:
     """Whether words mean the pressure around the engine: `PBARO`, `cell pressure`, `P ambient`."""
-    return {*words} <= _BAROMETER and not {*words} <= {"p", "pressure", "test"}
+    return {*words} <= _BAROMETER and not {*words} <= {"p", "pressure", "test", "air"}
 
 
 def declarable(column: str, unit: str, marks: Collection[str]) -> tuple[str, str, str] | None:
@@ -110,7 +119,8 @@ def declarable(column: str, unit: str, marks: Collection[str]) -> tuple[str, str
     """
     brackets = _IN_BRACKETS.search(column)
     own = column[: brackets.start()] if brackets and unit else column
-    words = [_Word(found[0], *found.span()) for found in _WORD.finditer(own)]
+    first = own.rfind("/") + 1 if own.rpartition("/")[0].replace("/", "_").isidentifier() else 0
+    words = [_Word(found[0], *found.span()) for found in _WORD.finditer(own, first)]
     if not unit:
         words, unit = _unit_at_the_end(words)
     known = "" if unit in ("nm", "NM") else named_unit(unit)  # nautical miles

@@ -246,12 +246,6 @@ _STOPPED_S, _EXPLAINED = 60.0, 0.8  # a constant channel, and the share of a fai
 Relation = tuple[str, ...]
 
 
-def sound_air(log: Log) -> frozenset[str]:
-    """Air data that stand in a relation which holds closely, and in none that fails."""
-    flies = _airborne(log)
-    return frozenset(_close(log, flies) - set().union(*_failed(log.channels, flies)[1]))
-
-
 def unchecked_air(log: Log) -> tuple[str, ...]:
     """Altitude and airspeeds of a log that no other air data can contradict closely."""
     there = log.recorded(("ALT_ft", "Mach", "CAS_kt", "TAS_kt"))

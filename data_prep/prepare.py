@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple, Self
 
@@ -33,6 +33,8 @@ from narxcal.support.settings import Section
 NOT_RECORDED = "not recorded"
 HELD = "held for the model"
 _MANY = 0.1  # share of a recording's rows
+FRAGMENT = "fragment without a valid sample of a channel"
+LEAST_PART_S = 20.0  # shorter parts of a divided log show no response with its settling
 _TOLERANCE_S = 0.25  # within which Ti and Tt have to agree (FAA 14 CFR part 60)
 _MOST_NAMED = 3  # logs in one line
 
@@ -96,6 +98,7 @@ class Prepared:
         """All warnings about the log."""
         found = {
             "crowded": _crowded(self.log),
+            "fragment": _fragments(self.log),
             "unit": _never_runs(self.log),
             "masked": _all_masked(self.log),
             "coded": _coded(self.log),
@@ -109,11 +112,35 @@ class Prepared:
 
 
 def prepare(logs: Sequence[Log], tables: Preparation | None = None) -> list[Prepared]:
-    """Leave out where the engine does not run, clean and smooth; the audit counts what changed."""
+    """Leave out where the engine does not run, clean and smooth; the audit counts what changed.
+
+    So are fragments of a recording in which cleaning leaves nothing of a channel.
+    """
     wanted = tables or Preparation()
     running = map(checked, while_running(logs, wanted.running))
-    ready = (smooth(of_cleaning(clean(log, wanted.clean)), wanted.smooth) for log in running)
-    return [Prepared(log, wanted) for log in ready]
+    ready = [smooth(of_cleaning(clean(log, wanted.clean)), wanted.smooth) for log in running]
+    return [Prepared(log, wanted) for log in _without_fragments(ready)]
+
+
+def _without_fragments(logs: Sequence[Log]) -> list[Log]:
+    """Leave out short parts that lack a channel; the longest part of the recording counts them."""
+    found: dict[str, list[Log]] = {}
+    for log in logs:
+        found.setdefault(log.name.partition("#")[0], []).append(log)
+    kept = []
+    for parts in found.values():
+        longest = max(parts, key=len)
+        there = len(longest.recorded(tuple(longest.channels)))
+        lost = [
+            log
+            for log in parts
+            if len(log) * log.dt_s < LEAST_PART_S and len(log.recorded(tuple(log.channels))) < there
+        ]
+        for log in (each for each in parts if each not in lost):
+            rows = sum(map(len, lost)) if log is longest else 0
+            entry = AuditEntry("*", "dropped", FRAGMENT, rows)
+            kept.append(replace(log, audit=log.audit.add(entry)) if rows else log)
+    return kept
 
 
 def cautions(logs: Iterable[Log], tables: Preparation, outputs: Sequence[str] = ()) -> list[str]:
@@ -154,6 +181,13 @@ def _crowded(log: Log) -> str:
         f"{most} rows have the time stamp of the row before and were left out; its stamps are "
         "coarser than its rows"
     )
+
+
+def _fragments(log: Log) -> str:
+    """Say how many samples of fragments were left out."""
+    lost = sum(each.samples for each in log.audit.entries if each.reason == FRAGMENT)
+    why = f"in parts below {LEAST_PART_S:g} s nothing is left of a channel"
+    return f"{lost} samples are left out: {why}" if lost else ""
 
 
 def _never_runs(log: Log) -> str:

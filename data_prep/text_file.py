@@ -18,6 +18,7 @@ from itertools import chain, islice
 from typing import TYPE_CHECKING, BinaryIO, TextIO, cast
 
 from data_prep.clock import Clock, clock_of, is_ambiguous, is_clock, order_of
+from data_prep.naming import read_name
 from data_prep.units import is_no_unit, is_unit_text
 from data_prep.words import is_no_value
 from data_prep.workbook import MAGIC_BYTES as WORKBOOK_BYTES
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 DELIMITERS = (";", "\t", "|", ",")
 MAX_LINE_CHARS = 1_000_000
 _LINES_ABOVE = 100  # a header is looked for so far down
+_ROWS_BELOW = 20  # at the end of the first lines, with which a header has to agree
 _SEPARATOR_MARK = re.compile(r'"?sep=.?"?', re.IGNORECASE)  # Excel's own line, no data
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?")
 _NUMBERS_PART = 0.3  # of the cells with content; a log of notes and numbers has more
@@ -121,14 +123,47 @@ def first_lines(text: TextIO, count: int) -> list[str]:
 def header_at(lines: Sequence[str], comment: str, time: str) -> tuple[int, int] | None:
     """Find the header and count the lines with content above it; None without content.
 
-    The header is the first line that has a cell `time`, else the first one with content: a recorder
-    may put its serial number and the like first.
+    It has as many cells as the rows below, of which a good part are numbers: a recorder may put its
+    serial number and the like first. Of several such lines it is the first that has a cell `time`,
+    else the last of those that name most channels. A comment is taken where no other line is one.
     """
-    filled = [k for k, line in enumerate(lines[:_LINES_ABOVE]) if has_content(line, comment)]
-    for above, k in enumerate(filled):
-        if any(time in fields(lines[k], each) for each in (*DELIMITERS, " ")):
-            return k, above
-    return (filled[0], 0) if filled else None
+    filled = [k for k, line in enumerate(lines) if has_content(line, comment)]
+    if not filled:
+        return None
+    above = [k for k, line in enumerate(lines[:_LINES_ABOVE]) if has_content(line, "")]
+    best: tuple[tuple[int, ...], int] = ((0,), filled[0])
+    for delimiter in (*DELIMITERS, " "):
+        rows = [fields(lines[k], delimiter) for k in filled[-_ROWS_BELOW:]]
+        widths = [_widths(cells) for cells in rows if _is_tabular([cells])]
+        for k in above:
+            cells = fields(lines[k] if k in filled else uncommented(lines[k], comment), delimiter)
+            agreeing = sum(bool(_widths(cells) & each) for each in widths)
+            agrees = len(cells) > 1 and 2 * agreeing > len(rows)
+            own = (k in filled, delimiter != " ")
+            if time in cells:
+                best = max(best, ((2, agrees, *own, -k), k))
+            elif agrees and _names_columns(cells):
+                named = sum(read_name(each) is not None for each in cells)
+                best = max(best, ((1, *own, named, k), k))
+    return best[1], sum(k < best[1] for k in filled)
+
+
+def uncommented(line: str, comment: str) -> str:
+    """Return a line without the signs of a comment that begin it."""
+    plain = line.lstrip()
+    return plain.lstrip(comment) if comment and plain.startswith(comment) else line
+
+
+def _widths(cells: Sequence[str]) -> set[int]:
+    """Return the numbers of cells that a line may be meant to have: a delimiter may end it."""
+    return {len(cells), len(cells) - (not cells[-1:] or not cells[-1])}
+
+
+def _names_columns(cells: Sequence[str]) -> bool:
+    """Whether cells may be names of columns: neither numbers nor units, and most of them differ."""
+    filled = [cell for cell in cells if cell]
+    numbers = sum(map(_is_number, filled))
+    return 2 * numbers < len(filled) < 2 * len({*filled}) and not units_row(cells, cells)
 
 
 def has_content(line: str, comment: str) -> bool:
@@ -178,10 +213,7 @@ def _units_above(
     """
     delimiter, comment = how
     for line in reversed(lines):
-        plain = line.strip("\r\n")
-        if comment and plain.lstrip().startswith(comment):
-            plain = plain.lstrip().removeprefix(comment)
-        cells = fields(plain, delimiter)
+        cells = fields(uncommented(line, comment), delimiter)
         found = units_row(cells, header) if len(cells) == len(header) else ()
         filled = [cell for cell in found if cell]
         bracketed = all(map(_BRACKETED.fullmatch, filled))
@@ -290,7 +322,7 @@ def sniff(text: TextIO, config: LogsConfig) -> Dialect:
     if place is None:
         raise DataError("the file is empty", hint="Expected a header line and data rows")
     at, above = place
-    header = lines[at].rstrip("\r\n")
+    header = uncommented(lines[at].rstrip("\r\n"), comment)
     _refuse_no_text(header, "".join(lines))
     rows = [k for k in range(at + 1, len(lines)) if has_content(lines[k], comment)][:SAMPLE_LINES]
     texts = [lines[k].rstrip("\r\n") for k in rows]

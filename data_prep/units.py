@@ -129,13 +129,13 @@ _ALIASES = {
     "in.lb": "lbf.in",
     "mbar": "hPa",
     "psia": "psi",
-    **dict.fromkeys(("1/min", "r/min", "min-1", "u/min"), "rpm"),
+    **dict.fromkeys(("1/min", "r/min", "min-1", "u/min", "upm", "tr/min"), "rpm"),
 }
 # How units are spelled out, part by part: "Lbs. per Hour" is lb/h.
 _WORDS = {
     word: unit
     for unit, words in {
-        "s": "sec secs second seconds",
+        "s": "sec secs second seconds sek sekunden secondes segundos",
         "ms": "msec msecs millisecond milliseconds",
         "us": "usec microsecond microseconds",
         "min": "mins minute minutes",
@@ -154,7 +154,7 @@ _WORDS = {
         "kt": "kts knot knots",
         "mph": "mi/h mile/h miles/h",
         "%": "pct percent",
-        "degc": "degreec degreesc degcelsius degreescelsius",
+        "degc": "degreec degreesc degcelsius degreescelsius gradc gradcelsius",
         "degf": "degreef degreesf degfahrenheit degreesfahrenheit",
         "k": "degk kelvins",
         "degr": "rankine degrankine",

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from data_prep.log import Log
-from data_prep.prepare import HELD, hold_inputs
+from data_prep.prepare import HELD, LEAST_PART_S, hold_inputs
 from narxcal.support.arrays import spans
 from narxcal.support.errors import DataError
 from training.config import RunConfig
@@ -22,8 +22,6 @@ from training.redundancy_fit import MOST_FOLDS, Pool, learn
 from training.scatter import PRIORS, Priors
 from training.screening import files_of, screened
 from training.steady_choice import Outlier
-
-_LEAST_PART_S = 20.0  # shorter parts of a divided log show no response with its settling
 
 
 def by_each_other(
@@ -144,7 +142,7 @@ def learnable(split: Split, config: RunConfig, *, screen: bool = True) -> Learna
 
 def _long_enough(parts: Sequence[Log]) -> tuple[Log, ...]:
     """Those that show a response with its settling; all where none is so long."""
-    long = tuple(part for part in parts if np.ptp(part.time_s) >= _LEAST_PART_S)
+    long = tuple(part for part in parts if np.ptp(part.time_s) >= LEAST_PART_S)
     return long or tuple(parts)
 
 
@@ -174,4 +172,4 @@ def _parts(log: Log, config: RunConfig) -> list[Log]:
     if not unknown.any():
         return [held]
     parts = [held.part(start, stop) for start, stop in spans(~unknown)]
-    return [part for part in parts if len(part) * held.dt_s >= _LEAST_PART_S]
+    return [part for part in parts if len(part) * held.dt_s >= LEAST_PART_S]

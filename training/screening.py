@@ -23,7 +23,7 @@ from itertools import combinations
 import numpy as np
 
 from data_prep.log import Finding, Kind, Log
-from data_prep.plausibility import conversions, sound_air
+from data_prep.plausibility import conversions
 from narxcal.channels import CHANNELS, symbol
 from narxcal.support.arrays import BoolArray, FloatArray, spans
 from training.redundancy import (
@@ -525,8 +525,8 @@ _FAULT = 0.2  # standard deviation of the share by which faults scale or shift a
 def _restored(subject: _Subject) -> tuple[Finding, ...]:
     """Another unit or an exchange that makes a log sound, and more so than an error of one channel.
 
-    Where channels cannot be compared they may be beyond what training logs show; but a flight in
-    air where no training log has been is not one in another unit of altitude or speed.
+    Where channels cannot be compared they may be beyond what training logs show. Air data are not
+    accused: engines share them, and what physics allows no statistic of one engine refutes.
     """
     if not subject.whole:
         return ()
@@ -536,8 +536,6 @@ def _restored(subject: _Subject) -> tuple[Finding, ...]:
         return ()
     best: tuple[float, _Other | None] = _scaled(subject, before), None
     for each in _others(subject):
-        if not comparable and each.channel in AIR:
-            continue
         after = _fit(subject, subject.signals.having(each.values))
         least = len(before.levels) if comparable else len(subject.sensed)
         gain = _log_likelihood(subject, after.levels)
@@ -594,9 +592,7 @@ def _others(subject: _Subject) -> Iterator[_Other]:
         if CHANNELS[a].unit == CHANNELS[b].unit:
             text = f"{symbol(a)} and {symbol(b)} fit the training logs when exchanged"
             yield _Other("exchanged", a, text, {a: values[b], b: values[a]}, b)
-    sound = sound_air(subject.log)
-    air = [name for name in ("ALT_ft", "Mach") if name in values and name not in sound]
-    for name in (*subject.sensed, *air):
+    for name in subject.sensed:
         for word, scale, offset in conversions(name) if subject.log.recorded([name]) else ():
             text = f"looks like {word}: median {np.nanmedian(subject.log[name]):.4g}"
             other = {name: scale * values[name] + offset}

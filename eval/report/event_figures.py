@@ -81,6 +81,7 @@ def summary_figure(view: LogView, one: AssessedEvent) -> bytes:
     figure.axes[0].set_title(kind, fontsize=9, loc="left", color="#24292f")
     buffer = io.BytesIO()
     FigureCanvasAgg(figure)
+    style.without_math(figure)
     figure.savefig(
         buffer, format="png", dpi=160, bbox_inches="tight", pad_inches=0.1,
         metadata={"Software": None},

@@ -21,6 +21,7 @@ from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from numpy.typing import NDArray
 
 from narxcal.channels import described, symbol
@@ -63,9 +64,17 @@ class Picture:
 def picture(figure: Figure, alt: str, caption: str = "") -> Picture:
     """Render `figure`; text stays text (searchable) and takes the page's own font."""
     buffer = io.StringIO()
+    without_math(figure)
     with RENDERING, mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": "narxcal"}):
         FigureCanvasSVG(figure).print_svg(buffer, metadata=_NO_METADATA)  # type: ignore[no-untyped-call]
     return Picture(Markup(_shrink(buffer.getvalue(), alt)), alt, caption)  # noqa: S704 - our own SVG
+
+
+def without_math(figure: Figure) -> None:
+    """Draw `$` as a sign in all texts that hold it: names of files and columns are no formulas."""
+    for text in figure.findobj(Text):
+        if isinstance(text, Text) and "$" in text.get_text():
+            text.set_parse_math(False)
 
 
 def envelope(

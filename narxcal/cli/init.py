@@ -12,6 +12,7 @@ import tomllib
 from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -23,11 +24,13 @@ from data_prep.log import Log
 from data_prep.ranking import other_driver
 from data_prep.reading import read_logs
 from eval.report.figures import recorded_figure
+from eval.report.style import without_math
 from narxcal.atmosphere import cas_of_mach
-from narxcal.channels import SPOOLS
+from narxcal.channels import CHANNELS, SPOOLS, described
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_overwrite, path
 from narxcal.cli.results import check_pair
+from narxcal.support.errors import NarxcalError
 from narxcal.support.files import atomic_write_bytes, atomic_write_text
 from narxcal.support.settings import OPEN, in_toml
 from training.config import SCHEMA, RunConfig
@@ -35,6 +38,7 @@ from training.config import SCHEMA, RunConfig
 _MOST_READ = 3  # files that are read as a whole
 _AIR = ("ALT_ft", "Mach", "dT_C")
 _OUTPUTS = ("N1_pct", "N2_pct", "EGT_C")
+_SPEEDS = ("%", "rpm")  # units of a response that is fast and smooth
 _BELOW = 0.9  # of the lowest idle: where the engine no longer counts as running
 _IDLES_S = 10.0  # a speed that stands for so long
 _IDLES_PCT = 1.0  # within so much
@@ -57,25 +61,34 @@ def run(options: Namespace, console: Console) -> int:
     plot = check_pair(options, "a configuration", (".toml", ".png"), *options.logs)
     with console.progress("Reading the logs"):
         columns = draft(options.logs)
-        logs = [log for file in options.logs[:_MOST_READ] for log in _read(file, columns)]
-    text = _Text(columns, logs, options.logs, out.resolve().parent).text()
+        logs, trouble = _read(options.logs[:_MOST_READ], columns)
+    text = _Text(columns, logs, options.logs, out.resolve().parent, trouble).text()
     asked = [line for line in text.splitlines() if OPEN in line.partition("#")[0]]
     if not asked:
         RunConfig.parse(tomllib.loads(text), out)
     atomic_write_text(out, text)
-    picture = io.BytesIO()
-    recorded_figure(logs[0]).savefig(picture, format="png", dpi=110)
-    atomic_write_bytes(plot, picture.getvalue())
+    if logs:
+        picture, figure = io.BytesIO(), recorded_figure(logs[0])
+        without_math(figure)
+        figure.savefig(picture, format="png", dpi=110)
+        atomic_write_bytes(plot, picture.getvalue())
     for line in asked:
         console.say(f"To be filled in: {line}")
     then = "fill these in, then " if asked else ""
-    console.say(f"Configuration: {out}, plot: {plot}. Next: {then}narxcal train {out} --out RUN")
+    drawn = f"plot: {plot}" if logs else f"no plot ({trouble})"
+    console.say(f"Configuration: {out}, {drawn}. Next: {then}narxcal train {out} --out RUN")
     console.document({"schema": "narxcal.init/1", "out": str(out), "open": asked})
     return 0
 
 
-def _read(file: Path, columns: Draft) -> list[Log]:
-    return read_logs(file, columns.logs())
+def _read(files: Sequence[Path], columns: Draft) -> tuple[list[Log], str]:
+    """Return the logs that can be read so far, and why there are no others."""
+    if any(line.keys.get("column") == OPEN for line in columns.lines):
+        return [], "the column of time is open"
+    try:
+        return read_logs(files, columns.logs()), ""
+    except NarxcalError as error:
+        return [], " ".join(str(error).split())
 
 
 @dataclass(frozen=True)
@@ -86,15 +99,15 @@ class _Text:
     logs: Sequence[Log]
     files: Sequence[Path]
     base: Path
+    trouble: str
 
     def text(self) -> str:
-        driver, why = self._driver()
-        there = {name for name in self.logs[0].channels if self.logs[0].recorded([name])}
-        air = [name for name in _AIR if name in there]
-        outputs = [name for name in _OUTPUTS if name in there and name != driver]
-        lacking = ", ".join(name for name in _AIR if name not in there)
+        driver, why = self._driver
+        air = [name for name in _AIR if name in self._there]
+        outputs = self._outputs
+        lacking = ", ".join(name for name in _AIR if name not in air)
         without = f"  # no column is known as {lacking}: the model knows none" if lacking else ""
-        response = next((name for name in SPOOLS if name in outputs), outputs[0])
+        response = next((name for name in outputs if described(name).unit in _SPEEDS), outputs[0])
         parts = [
             f'schema = "{SCHEMA}"\nname = {in_toml(self.files[0].stem.partition(".")[0])}\n',
             self._logs(),
@@ -106,6 +119,23 @@ class _Text:
         ]
         return "\n".join(parts)
 
+    @cached_property
+    def _there(self) -> set[str]:
+        """Channels that were recorded; where no log could be read, those of the columns."""
+        if not self.logs:
+            return {line.channel for line in self.columns.lines} - {"time_s"}
+        return {name for log in self.logs for name in log.channels if log.recorded([name])}
+
+    @cached_property
+    def _outputs(self) -> list[str]:
+        """Speeds and temperature; without any, what else is measured of an engine."""
+        left = self._there - {self._driver[0]}
+        found = [name for name in _OUTPUTS if name in left]
+        other = [name for name in left & {*CHANNELS} if CHANNELS[name].role == "output"]
+        own = [line.channel for line in self.columns.others]
+        states = [name for name in own if not name.endswith("_kPa")]
+        return found or [*sorted(other), *(states or own)] or [OPEN]
+
     def _logs(self) -> str:
         folder = Path(os.path.commonpath([file.resolve().parent for file in self.files]))
         names = [str(file.resolve().relative_to(folder)) for file in self.files]
@@ -114,6 +144,11 @@ class _Text:
             f"folder = {in_toml(os.path.relpath(folder, self.base))}",
             f"files = {in_toml([glob.escape(name) for name in names])}",
             *(f"# {log.name}: {len(log)} samples, one every {log.dt_s:.4g} s" for log in self.logs),
+            *([f"# could not be read yet: {self.trouble}"] if self.trouble else []),
+            *(
+                f'{key} = "{OPEN}"  # the file leaves it open; read as {_toml(value)} here'
+                for key, value in self.columns.assumed.items()
+            ),
         ]
         if self.columns.engines:
             lines += ["", "[logs.engines]  # by the columns that differ in this alone"]
@@ -124,15 +159,21 @@ class _Text:
         ]
         if self.columns.unknown:
             lines.append(f"# not known, give one to a channel to use it: {self._unknown()}")
-        if self.columns.others:
+        others = sorted(self.columns.others, key=lambda line: line.channel not in self._outputs)
+        marks = ["" if line.channel in self._outputs else "# " for line in others]
+        if "# " in marks:
             lines += [
                 "# no built-in channels: to use one, take the # away here and below, and name it",
                 "# in [narx] outputs or [steady_state] inputs",
-                *(f"# {line}" for line in self.columns.others),
-                "",
-                "# [logs.channels]  # the lowest and highest value that are possible",
-                *(f'# {one.channel} = {{ range = ["?", "?"] }}' for one in self.columns.others),
             ]
+        lines += [f"{mark}{line}" for mark, line in zip(marks, others, strict=True)]
+        if others:
+            what = "# the lowest and highest value that are possible"
+            lines += ["", f"{marks[0]}[logs.channels]  {what}"]
+        lines += [
+            f'{mark}{line.channel} = {{ range = ["?", "?"] }}'
+            for mark, line in zip(marks, others, strict=True)
+        ]
         named = {line.channel for line in self.columns.lines}
         if "WOW" not in named and ("CAS_kt" in named or self._flies()):
             lines += [
@@ -154,18 +195,17 @@ class _Text:
         flies_kt = rule.below_kt + rule.hysteresis_kt
         return any(np.nanmax(cas_of_mach(log["Mach"], log["ALT_ft"])) > flies_kt for log in logs)
 
+    @cached_property
     def _driver(self) -> tuple[str, str]:
-        there = {name for log in self.logs for name in log.channels if log.recorded([name])}
+        there = self._there
         warned = [text for log in self.logs if (text := other_driver(log, "TRA_deg"))]
         if "TRA_deg" in there and 2 * len(warned) < max(len(self.logs), 1):
             return "TRA_deg", "the lever"
         if "FF_kgph" in there:
             why = warned[0].partition(":")[0] if warned else "there is no lever, fuel is the input"
             return "FF_kgph", why
-        return (
-            OPEN,
-            f"neither a lever nor a fuel flow was found; one of {', '.join(sorted(there))}?",
-        )
+        known = f"; one of {', '.join(sorted(there))}?" if there else ""
+        return OPEN, f"neither a lever nor a fuel flow was found{known}"
 
     def _running(self) -> str:
         """Put the threshold below idle where engines start or stop; elsewhere none is needed."""

@@ -115,7 +115,7 @@ def _open_key(table: Mapping[str, Any]) -> str:
         if isinstance(value, Mapping):
             inner = [(f"{at}.{name}".lstrip("."), each) for name, each in value.items()]
             waiting += reversed(inner)
-        elif value == OPEN:
+        elif value == OPEN or (isinstance(value, list) and OPEN in value):
             return at
     return ""
 

@@ -65,6 +65,32 @@ def test_columns_that_say_nothing_are_named(logs, narxcal, tmp_path):
     assert "not known" not in (tmp_path / "other.toml").read_text("utf-8")
 
 
+@pytest.mark.parametrize(
+    ("header", "driver", "outputs"),
+    [
+        ("time,Fuel Flow [kg/h],Torque [Nm],Prop Speed [rpm]", "FF_kgph",
+         ["Torque_Nm", "PropSpeed_rpm"]),
+        ("time,Power Lever Position [%],Propeller Speed [rpm],Rail Pressure [bar]", "TRA_deg",
+         ["PropellerSpeed_rpm"]),
+        ("time,TLA,Fuel Flow [kg/h],x", "TRA_deg", ["FF_kgph"]),
+        ("a,b,c,d", "?", ["?"]),
+    ],
+)  # fmt: skip
+def test_any_file_of_numbers_gives_a_draft(narxcal, tmp_path, header, driver, outputs):
+    """Where no speed or temperature is known, what is declared is modelled; `$` is no formula."""
+    path, out = tmp_path / "a$_{b$.csv", tmp_path / "mine.toml"
+    table = np.column_stack([TIME_S, SPEED_PCT / 2.0, 9.0 * SPEED_PCT, 5.0 * SPEED_PCT])
+    np.savetxt(path, table, fmt="%.6g", delimiter=",", header=header, comments="")
+    done = narxcal("init", path, "--out", out)
+    assert (done.code, done.err) == (0, "")
+    found = tomllib.loads(out.read_text("utf-8"))
+    assert (found["events"]["driver"], found["narx"]["outputs"]) == (driver, outputs)
+    own = {name for name in outputs if name.endswith(("_Nm", "_rpm"))}
+    assert {*found["logs"].get("channels", {})} == own <= {*found["logs"]["columns"]}
+    done = narxcal("prepare", out, "--out", tmp_path / "prepared")
+    assert ("is still to be filled in" in done.err) == ('"?"' in out.read_text("utf-8"))
+
+
 def test_a_configuration_that_is_there_is_not_replaced(logs, narxcal, tmp_path):
     (tmp_path / "mine.toml").write_text("mine", "utf-8")
     done = narxcal("init", *logs, "--out", tmp_path / "mine.toml")

@@ -273,3 +273,20 @@ def test_good_samples_between_two_spikes_are_not_taken_for_the_fault(sizes, apar
     assert cleaned.audit.masked() == {}
     near = slice(3990, 4020)
     assert np.abs(cleaned["EGT_C"][near] - truth[near]).max() < 10
+
+
+@pytest.mark.parametrize(("level", "rests"), [(1040.0, True), (1300.0, True), (1300.0, False)])
+def test_a_coarse_channel_at_idle_is_not_stuck(level, rests):
+    """Pressure of a piston engine: constant where lever, load and speed are, at its stop or not."""
+    draw, time_s = np.random.default_rng(0), np.arange(900.0)
+    lever = np.where((time_s < 230) | (time_s > 700), 0.0, 40.0 + 30.0 * np.sin(time_s / 9.0))
+    moved = lever if rests else 40.0 + 30.0 * np.sin(time_s / 9.0)
+    noise = np.where(lever > 0.0, 6.0, 0.0) * draw.standard_normal(900)
+    channels = {
+        "TRA_deg": moved,
+        "Load_pct": moved,
+        "NP_rpm": np.round(705.0 + 20.0 * moved + 2.0 * draw.standard_normal(900)),
+        "MAP_kPa": np.round(level + (10.0 if level < 1200.0 else -3.0) * lever + noise) / 10.0,
+    }
+    stuck = frozen(Log("run", time_s, channels), "MAP_kPa", FaultsConfig())
+    assert stuck.any() != rests

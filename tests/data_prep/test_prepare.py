@@ -436,3 +436,23 @@ def test_a_channel_that_is_not_there_is_refused():
         "[logs.columns], if need be as TRA_deg = { constant = ... }, or take it out of "
         "[steady_state] inputs. The log has Mach"
     )
+
+
+def test_a_fragment_without_a_channel_is_left_out_and_counted():
+    """Four seconds between two pauses, of which cleaning leaves no speed."""
+    speed = 70.0 + np.sin(np.arange(1200) / 90.0)
+    lost = np.where(np.arange(1200) < 40, np.nan, speed)[:40]
+    logs = [
+        Log(name, start_s + 0.1 * np.arange(len(values)), {"N1_pct": values, "FF_kgph": 9 * values})
+        for name, start_s, values in (("a", 0, speed), ("a#2", 200, speed[:40]), ("b", 0, speed))
+    ]
+    assert [one.log.name for one in prepare(logs)] == ["a", "a#2", "b"]
+    logs[1] = logs[1].with_channels({"N1_pct": lost})
+    found = prepare(logs)
+    assert [one.log.name for one in found] == ["a", "b"]
+    reason = "fragment without a valid sample of a channel"
+    assert AuditEntry("*", "dropped", reason, 40) in found[0].log.audit.entries
+    text = "a: 40 samples are left out: in parts below 20 s nothing is left of a channel"
+    assert text in cautions([one.log for one in found], Preparation())
+    logs[0] = logs[0].with_channels({"N1_pct": np.full(1200, np.nan)})
+    assert [one.log.name for one in prepare(logs)] == ["a", "a#2", "b"]
