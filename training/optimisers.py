@@ -14,7 +14,7 @@ scaling (Levenberg, 1944) weak weights wander. The root lies between the two.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from typing import Protocol
@@ -23,6 +23,14 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from narxcal.support.arrays import BoolArray, FloatArray
+
+Late = Callable[[], bool]  # whether a descent has to end and give what it has found
+
+
+def unlimited() -> bool:
+    """Without a limit of time."""
+    return False
+
 
 _MOST_BEND = 0.75  # of the straight step, Transtrum and Sethna (2012)
 
