@@ -139,7 +139,7 @@ def test_records_of_different_patterns_get_a_model_that_is_good_on_all_of_them()
         np.sign(np.repeat(draw.standard_normal(10), 30)),
     ]
     records = [hammerstein(u, seed) for seed, u in enumerate(patterns)]
-    found = choose(records, Limits(8.0))
+    found = choose(records, Limits(20.0))
     unseen = hammerstein(np.repeat(draw.uniform(0.4, 1.0, 30), 10), 9)
     error = found.model.simulate(unseen.u, unseen.y[:20])[20:] - unseen.y[20:]
     line = choose(records, Limits(2.0, linear=True))
