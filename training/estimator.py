@@ -102,8 +102,8 @@ class Narx(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # likewise
     first-order lag to a network with latent states (see `training.ladder`): `choice_` lists what
     was tried, `reason_` says in a sentence why, `status_` how the search ended. `time_limit_s` is
     processor time, kept to about a second: what was found until then is returned. Work is counted
-    in steps, so that the same records and `seed` give the same model, unless the clock shortened the
-    search, which `status_` says. `verbose` shows a progress bar.
+    in steps, so that the same records and `seed` give the same model, unless the clock shortened
+    the search, which `status_` says. `verbose` shows a progress bar.
 
     A `NarxConfig` is the NARX network of this structure: lags, input taps and width; `train` holds
     the optimiser and its horizons (in the unit of `dt_s`, which is 1 by default: then horizons
