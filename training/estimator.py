@@ -19,7 +19,7 @@ validation records, is null.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from numbers import Real
 from os import PathLike
 from pathlib import Path
@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self, TypeAlias, TypeGuard, over
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from rich.progress import Progress
 from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.exceptions import NotFittedError
@@ -35,7 +35,7 @@ from sklearn.exceptions import NotFittedError
 from narxcal.calibration.bundle import WEIGHTS, ModelFolder, packed, seal
 from narxcal.intervals import Band
 from narxcal.narx.config import NarxConfig
-from narxcal.narx.forms import DynamicModel
+from narxcal.narx.forms import DynamicModel, from_rest
 from narxcal.narx.network import checked_inputs, checked_start
 from narxcal.record import (
     Record,
@@ -66,6 +66,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Records: TypeAlias = RecordLike | Iterable[RecordLike]
+Arrays: TypeAlias = NDArray[Any] | pd.DataFrame | pd.Series
 Structure: TypeAlias = NarxConfig | Literal["auto"] | None
 
 # Default for unknown records. On held-back stretches of the training ranges of three public sets
@@ -100,19 +101,22 @@ class Narx(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # likewise
     With `structure="auto"` (and no `train`) the form is chosen by held-out free runs, from a
     first-order lag to a network with latent states (see `training.ladder`): `choice_` lists what
     was tried, `reason_` says in a sentence why, `status_` how the search ended. `time_limit_s` is
-    turned into a number of sample-steps once: the same records and `seed` give the same model.
-    `verbose` shows a progress bar.
+    processor time, kept to about a second: what was found until then is returned. Work is counted
+    in steps, so that the same records and `seed` give the same model, unless the clock shortened
+    the search, which `status_` says. `verbose` shows a progress bar.
 
     A `NarxConfig` is the NARX network of this structure: lags, input taps and width; `train` holds
     the optimiser and its horizons (in the unit of `dt_s`, which is 1 by default: then horizons
     count samples). Tap 0 is the input at the predicted sample itself; leave it out where that must
     not be used. `None`, or "auto" with a `train`, is 8 lags, taps 0 to 8 and 8 hidden units.
 
-    A record is a pair of arrays `(u, y)` (time, inputs) and (time, outputs), or a `Record`, which
-    also has a name; methods take one of these or several. Data frames are taken by the
+    `fit(X, y)`, `predict(X)` and `score(X, y)` take one recording as scikit-learn's estimators do:
+    X (time, inputs) and y (time,) or (time, outputs), rows in the order of time
+    (`TimeSeriesSplit`). Several are a list of records: pairs of such arrays or `Record`, which also
+    has a name; `fit(records)` and `score(records)` then have no y. Data frames are taken by the
     column names of the first record of `fit`, `input_names_` and `output_names_`; a name that is
-    missing or unknown is a `DataError`. Searches of scikit-learn reach into
-    both sections: `GridSearchCV(Narx(), {"structure__hidden": [4, 8]}).fit(records)`. `save` and
+    missing or unknown is a `DataError`. Searches reach into both sections:
+    `GridSearchCV(Narx(), {"structure__hidden": [4, 8]}, cv=TimeSeriesSplit())`. `save` and
     `Narx.load` keep a trained one in a folder.
 
     >>> import numpy as np
@@ -120,8 +124,8 @@ class Narx(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # likewise
     >>> y = np.zeros(300)
     >>> for k in range(1, 300):
     ...     y[k] = 0.8 * y[k - 1] + 0.2 * np.tanh(2.0 * u[k - 1])
-    >>> model = Narx(NarxConfig(lags=1, taps=(1,), hidden=4)).fit([(u, y)])
-    >>> bool(model.score([(u, y)]) > 0.999)
+    >>> model = Narx(NarxConfig(lags=1, taps=(1,), hidden=4)).fit(u, y)
+    >>> bool(model.score(u, y) > 0.999)
     True
     """
 
@@ -147,11 +151,12 @@ class Narx(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # likewise
 
     def fit(
         self,
-        records: Records,
+        X: Records | Arrays,
+        y: ArrayLike | None = None,
         validation: Records | None = None,
         on_step: OnStep | None = None,
     ) -> Self:
-        """Fit to whole records; stop and select by `validation` records where given.
+        """Fit to records, or to X and y; stop and select by `validation` records where given.
 
         `on_step` is called after every step of a network. NaN outputs are masked. Raises
         `DataError` for what is no record, and for records that do not fit each other,
@@ -159,7 +164,7 @@ class Narx(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # likewise
         """
         structure, train = self._sections()
         self._check_numbers()
-        learned = as_records(records)
+        learned = _recorded(X, y)
         names = (learned[0].inputs, learned[0].outputs) if learned else ((), ())
         held_out = [] if validation is None else as_records(validation, "validation record", names)
         self.result_: FitResult | Choice
@@ -194,6 +199,11 @@ class Narx(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # likewise
                 bar.update(task, completed=done, total=total, description=what)
 
             return choose(learned, limits, show, held_out)
+
+    @property
+    def n_features_in_(self) -> int:
+        """Number of inputs, as scikit-learn calls it."""
+        return self.model.inputs
 
     @property
     def model(self) -> DynamicModel:
@@ -300,7 +310,12 @@ class Narx(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # likewise
         inputs = checked_inputs(columns(by_name(u, self.input_names_)), model.inputs)
         start = by_name(start, self.output_names_)
         first = checked_start(columns(start) if model.outputs == 1 else start, model.outputs)
-        first = first[: len(inputs)]
+        if len(first) >= len(inputs):
+            raise DataError(
+                f"the start of {len(first)} samples covers all {len(inputs)} of the inputs, so "
+                "nothing is simulated",
+                hint="Give the first k samples, or `predict` for one step",
+            )
         free_run = model.simulate(inputs, first)
         if interval is None:
             return free_run
@@ -312,35 +327,41 @@ class Narx(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # likewise
                 "nothing was held out, so there is no interval", hint='Use structure="auto"'
             )
         half = np.zeros_like(free_run)
-        steps = max(len(free_run) - len(first), 0)
+        steps = len(free_run) - len(first)
         half[len(free_run) - steps :] = found.intervals.half_width(steps, interval)
         return Band(free_run, free_run - half, free_run + half)
 
-    def predict(self, u: ArrayLike, y: ArrayLike) -> FloatArray:
-        """One-step-ahead prediction (time, outputs) from measured outputs (time, outputs)."""
+    def predict(self, u: ArrayLike, y: ArrayLike | None = None, *, steps: int = 1) -> FloatArray:
+        """Prediction `steps` ahead (time, outputs) from measured outputs `y` (time, outputs).
+
+        Without `y` it is the free run from the equilibrium at the first input: (time,) where there
+        is one output, as scikit-learn expects.
+        """
         model = self.model
-        inputs = columns(by_name(u, self.input_names_))
+        inputs = checked_inputs(columns(by_name(u, self.input_names_)), model.inputs)
+        if y is None:
+            free_run = from_rest(model, inputs)
+            return free_run[:, 0] if model.outputs == 1 else free_run
+        if steps < 1:
+            raise DataError(f"expected a prediction of at least one step, found steps = {steps}")
         measured = columns(by_name(y, self.output_names_))
-        checked_inputs(inputs, model.inputs)
         if measured.shape != (len(inputs), model.outputs):
             raise DataError(
                 f"expected outputs of shape {(len(inputs), model.outputs)}, found {measured.shape}"
             )
-        return model.predict(inputs, measured)
+        return model.predict(inputs, measured, steps)
 
-    def score(self, records: Records, y: None = None, *, start: int = 1) -> float:
+    def score(self, X: Records | Arrays, y: ArrayLike | None = None, *, start: int = 1) -> float:
         """Coefficient of determination of the free run, pooled over records and outputs.
 
-        Where the outputs never vary it is 1 for a free run without error, else 0. `y` is nothing:
-        scikit-learn's pipelines pass targets with the records.
+        Where the outputs never vary it is 1 for a free run without error, else 0.
 
         The first `start` measured samples of each record initialise it and are not scored; one
         that is masked takes the channel's first known value. Raises `DataError` for records that
         the model or `start` does not fit, and for one in which an output is masked throughout.
         """
-        del y
         error, spread = 0.0, 0.0
-        for record in self._scorable(records, start):
+        for record in self._scorable(X, y, start):
             free_run = self.model.simulate(record.u, known_start(record.y, start))
             scored = slice(start, None)
             centre = np.nanmean(record.y, axis=0)
@@ -350,11 +371,11 @@ class Narx(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # likewise
             return 1.0 if error == 0.0 else 0.0
         return 1.0 - error / spread
 
-    def _scorable(self, given: Records, start: int) -> list[Record]:
+    def _scorable(self, X: Records | Arrays, y: ArrayLike | None, start: int) -> list[Record]:
         if start < 1:
             raise DataError(f"expected at least one start sample, found start = {start}")
         net = self.model
-        records = as_records(given, like=(self.input_names_, self.output_names_))
+        records = _recorded(X, y, (self.input_names_, self.output_names_))
         found = check_records(records, start)
         if found != (net.inputs, net.outputs):
             raise DataError(
@@ -431,6 +452,13 @@ class Narx(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # likewise
         given = getattr(self, name)
         left = given is None or (name == "structure" and _is_auto(given))
         return _DEFAULTS[name] if left else given
+
+
+def _recorded(
+    X: Any, y: ArrayLike | None, like: tuple[Sequence[str], Sequence[str]] = ((), ())
+) -> list[Record]:
+    """Records as such, or the one of plain arrays X and y."""
+    return as_records(X if y is None else [(X, y)], like=like)
 
 
 def _is_auto(structure: object) -> bool:

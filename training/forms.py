@@ -28,6 +28,7 @@ from narxcal.support.errors import DataError
 from training.config import TrainConfig
 from training.latent import Data, Fitted, Starts, fit_linear, model_of
 from training.network import FitResult, Material, TrainingState, fit_narx, net_of, regression
+from training.optimisers import Late, unlimited
 from training.search import (
     ARX,
     FEW,
@@ -62,7 +63,8 @@ def try_arx(search: Search, delays: Sequence[tuple[int, ...]]) -> None:
     m, p = search.inputs, search.outputs
     for delay in delays:
         for order in _ARX_ORDERS:
-            if 3 * order * (p + m) > search.samples * 3 // 4:
+            long = 3 * order * (p + m) > search.samples * 3 // 4
+            if long or (search.tried and search.work.late()):
                 break
             fits = [arx_model(fold.fit, order, delay, search.scalings) for fold in search.folds]
             width = order * p + (order + 1) * m + 1
@@ -82,13 +84,12 @@ def try_linear(search: Search, delays: Sequence[tuple[int, ...]]) -> Bases:
     most = max(int(_SHARE * search.work.budget / (costs * folds)), _LEAST)
     bases: Bases = {}
     for delay in delays:
-        datas = [
-            Data.of(thinned(f.fit, most), delay, search.scalings, longest=search.longest)
-            for f in search.folds
-        ]
+        datas = [search.data(thinned(fold.fit, most), delay) for fold in search.folds]
         starts = [Starts.of(data) for data in datas]
         samples = sum(len(u) for data in datas for u in data.inputs)
         for n in ORDERS:
+            if search.tried and search.work.late():
+                break
             shape = Shape(n, m, p, 0, delay)
             fits = [fit_linear(d, shape, s) for d, s in zip(datas, starts, strict=True)]
             search.work.spend(_STEPS * _linear_cost(n, m, p) * samples)
@@ -100,7 +101,7 @@ def try_linear(search: Search, delays: Sequence[tuple[int, ...]]) -> Bases:
             bases[n, delay] = known
             rung, text = (LAG, "1 state") if n == 1 else (OUTPUT_ERROR, f"{n} states")
             form = Form(rung, text + dead(delay), shape.size, samples // folds, delay, n)
-            build = partial(linear_model, search.records, shape, search.scalings)
+            build = partial(linear_model, search, shape)
             search.tried.append(search.judge(form, [model for _, model in known], _free(build)))
     return bases
 
@@ -110,15 +111,13 @@ def _free(build: Callable[[], DynamicModel]) -> Build:
     return lambda _share: build()
 
 
-def linear_model(
-    records: Sequence[Record], shape: Shape, scalings: tuple[Scaling, Scaling]
-) -> DynamicModel:
+def linear_model(search: Search, shape: Shape) -> DynamicModel:
     """Linear output error of one shape on all records."""
-    data = Data.of(records, shape.delay, scalings)
+    data = search.data(search.records, shape.delay)
     fitted = fit_linear(data, shape)
     if fitted is None:  # cannot be: a fallback start exists for every order
         raise DataError("no linear model could be fitted")
-    return model_of(fitted, data, scalings)
+    return model_of(fitted, data, search.scalings)
 
 
 def _linear_cost(n: int, m: int, p: int) -> float:
@@ -230,9 +229,9 @@ def try_network(search: Search) -> None:
         return
     levels: list[list[DynamicModel]] = [[] for _ in decays]
     for fold in search.folds:
-        if search.work.late:
-            return
         found = _median(search, thinned(fold.fit, most), decays, draws)
+        if search.work.late():
+            return
         for level, model in zip(levels, found, strict=True):
             level.append(model)
         search.show()
@@ -244,7 +243,7 @@ def try_network(search: Search) -> None:
 
 def _final(search: Search, decay: float, share: float) -> DynamicModel:
     decays = tuple(dict.fromkeys((_DECAYS[0], decay)))
-    units = share * max(search.work.left, _FINAL_SHARE * search.work.budget)
+    units = share * max(search.work.left(), _FINAL_SHARE * search.work.budget)
     most = _most(search, units, (_DRAWS, decays), search.samples)
     return _median(search, thinned(search.records, max(most, FEW)), decays, _DRAWS)[-1]
 
@@ -254,7 +253,12 @@ def _median(
 ) -> list[DynamicModel]:
     """The median of several draws at each decay."""
     material = Material([record for record in records if len(record) >= _SHORTEST], (), 1.0)
-    levels = zip(*(_draw(search, material, decays, draw) for draw in range(draws)), strict=True)
+    drawn: list[list[FitResult]] = []
+    for draw in range(draws):
+        if drawn and search.work.late():
+            break
+        drawn.append(_draw(search, material, decays, draw))
+    levels = zip(*drawn, strict=False)  # of those that the time was enough for
     return [
         Ensemble.median([fit.model for fit in near_the_best(level, lambda fit: fit.score**2)])
         for level in levels
@@ -268,21 +272,24 @@ def _draw(
     samples, size = sum(map(len, material.records)), network_size(search.inputs, search.outputs)
     stride = max(int(samples * search.outputs / (PLENTY * size)), 1)
     stride -= 1 - stride % 2
-    found, steps = drawn_networks(material, decays, search.seed * 1000 + draw, stride)
+    seed = search.seed * 1000 + draw
+    found, steps = drawn_networks(material, decays, seed, stride, search.work.late)
     search.work.spend(steps * _cost(search, samples, samples * search.outputs / stride))
     return found
 
 
 def drawn_networks(
-    material: Material, decays: Sequence[float], seed: int, stride: int
+    material: Material, decays: Sequence[float], seed: int, stride: int, late: Late = unlimited
 ) -> tuple[list[FitResult], float]:
     """Networks of one draw, at the first decay and from there at each other, and steps taken.
 
-    One sample in `stride` is scored.
+    One sample in `stride` is scored. There are fewer where it becomes `late`.
     """
     found: list[FitResult] = []
     start: TrainingState | None = None
     for decay in decays:
+        if found and late():
+            break
         steps = (*_TRAIN.iterations[:-1], _FURTHER if start else _TRAIN.iterations[-1])
         update = {
             "decay": decay,
@@ -290,7 +297,8 @@ def drawn_networks(
             "score_every_s": float(stride),
             "iterations": steps,
         }
-        result = fit_narx(material, STRUCTURE, _TRAIN.model_copy(update=update), resume=start)
+        config = _TRAIN.model_copy(update=update)
+        result = fit_narx(material, STRUCTURE, config, lambda _state: late(), start)
         found.append(result)
         start = start or TrainingState(net_of(result.model).get_theta(), stage=len(steps) - 1)
     rows = [row for each in found for row in each.history]

@@ -28,6 +28,7 @@ from typing import Any, Self
 import numpy as np
 import pandas as pd
 from scipy.optimize import nnls
+from threadpoolctl import threadpool_limits
 
 from narxcal.intervals import Conformal
 from narxcal.narx.forms import DynamicModel, Ensemble, pack, unpack
@@ -147,13 +148,15 @@ def choose(
             "are needed to fit and to hold something out",
             hint="Add longer records",
         )
-    work = Work(limits.time_limit_s)
-    folds = divide(long, work.budget, validation)
-    search = Search(long, folds, work, limits.seed, progress)
-    if not folds:
-        return _without_folds(search)
-    _climb(search, limits.linear)
-    return _chosen(search)
+    # More threads than one would only wait for each other, which is processor time, too.
+    with threadpool_limits(limits=1):
+        work = Work(limits.time_limit_s)
+        folds = divide(long, work.budget, validation)
+        search = Search(long, folds, work, limits.seed, progress)
+        if not folds:
+            return _without_folds(search)
+        _climb(search, limits.linear)
+        return _chosen(search)
 
 
 def divide(records: list[Record], budget: float, validation: Sequence[Record]) -> list[RecordFold]:
@@ -241,6 +244,7 @@ def _mean(search: Search, rung: str, members: Sequence[Tried], weights: FloatArr
 def _chosen(search: Search) -> Choice:
     """The leading form on all records."""
     leader, reason = leading(search.tried)
+    search.work.end_search()
     search.watch(0.9, f"fitting {leader.form.rung} to all records")
     if leader.form.rung == LATENT:
         # Which size leads hangs on the draws of hidden units; the mean of sizes hangs on them less.
@@ -251,8 +255,8 @@ def _chosen(search: Search) -> Choice:
             leader, reason = mean, f"{reason}; other sizes are averaged with it by their errors"
     model = leader.build(1.0)
     search.watch(1.0, "done")
-    if search.work.late:
-        search.note("the clock ended the search: the result depends on the machine")
+    if search.work.cut:
+        search.note("the clock shortened the search: the result depends on the machine")
     return Choice(
         model=model,
         rung=leader.form.rung,
@@ -281,7 +285,7 @@ def _without_folds(search: Search) -> Choice:
     m, p = search.inputs, search.outputs
     nothing = Conformal(np.ones(1), np.full((1, p), np.nan), np.zeros(1, dtype=np.int64))
     return Choice(
-        model=linear_model(search.records, Shape(1, m, p, 0, (0,) * m), search.scalings),
+        model=linear_model(search, Shape(1, m, p, 0, (0,) * m)),
         rung=LAG,
         tried=pd.DataFrame([{"rung": LAG, "form": "1 state", "chosen": True}]),
         reason="the records are too short to hold anything out, so the simplest form is fitted",

@@ -31,7 +31,7 @@ from narxcal.narx.network import Scaling
 from narxcal.record import Record
 from narxcal.support.arrays import FloatArray, known_mean
 from training.network import regression
-from training.optimisers import Damping, Equations, minimise
+from training.optimisers import Damping, Equations, Late, minimise, unlimited
 
 _BLOCK = 256  # rows of a Jacobian that are kept at one time
 _STATE_DECAY = 1e-6  # on initial states: where a record does not show them, they stay at the mean
@@ -48,7 +48,7 @@ class Data:
 
     `measured` are the outputs with NaN where masked; in `outputs` they are 0 there. `slowest` is
     the largest pole of a linear model: a mode that does not settle within the longest record can't
-    be distinguished from drift there, and drifts in other records.
+    be distinguished from drift there, and drifts in other records. Fits end where they are `late`.
     """
 
     inputs: tuple[FloatArray, ...]
@@ -56,6 +56,7 @@ class Data:
     roots: tuple[FloatArray, ...]
     measured: tuple[FloatArray, ...]
     slowest: float
+    late: Late = unlimited
 
     @classmethod
     def of(
@@ -184,10 +185,9 @@ def descend(
     damping = damping or Damping()
     for step in islice(minimise(problem, z, 0.0, damping), steps):
         z, used, damping = step.theta, used + 1, step.damping
-        if before - step.loss < 1e-4 * step.loss:
-            before = step.loss
+        fallen, before = before - step.loss, step.loss
+        if fallen < 1e-4 * before or problem.data.late():
             break
-        before = step.loss
     return z, before, damping, used
 
 
@@ -368,6 +368,9 @@ def at_decay(
     start: Fitted, data: Data, decay: float, steps: int, damping: Damping | None = None
 ) -> tuple[Fitted, Damping, int]:
     """Descend from `start` at one decay; the fit, the damping to go on with and steps taken."""
+    damping = damping or Damping()
+    if data.late():
+        return start, damping, 0
     size = start.shape.size
     states = len(start.z) - size
     penalty = np.concatenate([np.full(size, decay), np.full(states, _STATE_DECAY)])

@@ -18,7 +18,7 @@ from functools import partial
 import numpy as np
 
 from narxcal.narx.forms import DynamicModel, Ensemble
-from narxcal.narx.latent import Shape
+from narxcal.narx.latent import LatentModel, Shape
 from narxcal.record import Record
 from narxcal.support.errors import DataError
 from training.forms import ORDERS, Bases
@@ -123,7 +123,7 @@ def try_latent(search: Search, bases: Bases) -> None:
 def affordable(search: Search, form: Form) -> int:
     """Models of the size of `form` that can be fitted to all records within what is kept for it."""
     shape = Shape(form.order, search.inputs, search.outputs, form.hidden, form.delay)
-    units = search.work.left / (len(_DECAYS) * _STEPS)
+    units = search.work.left() / (len(_DECAYS) * _STEPS)
     return int(units / (_FEWEST_DRAWS * _step(shape, search.samples)))
 
 
@@ -149,14 +149,15 @@ class _Latent:
         able = [form for form in forms if self.determined(form)]
         if not able:
             return []
-        units = share * (search.work.left - _FINAL_SHARE * search.work.budget) * self.early
+        units = share * (search.work.left() - _FINAL_SHARE * search.work.budget) * self.early
         able, effort = self._within(units, able, last=last)
         found = []
         for form in able:
-            if search.work.late:
-                break
             before = search.work.spent
-            found.append(self._try(*form, effort))
+            tried = self._try(*form, effort)
+            if tried is None:
+                break
+            found.append(tried)
             self.taken += search.work.spent - before
             self.planned += effort.steps * _step(self._shape(*form), effort.samples, effort.rows)
             search.show()
@@ -210,8 +211,8 @@ class _Latent:
 
         return most_samples(cost, units, self.search.samples)
 
-    def _try(self, n: int, h: int, delay: tuple[int, ...], effort: _Effort) -> Tried:
-        """One form along falling decays; its best decay over the folds."""
+    def _try(self, n: int, h: int, delay: tuple[int, ...], effort: _Effort) -> Tried | None:
+        """One form along falling decays; its best decay over the folds; None where it is late."""
         search, shape = self.search, self._shape(n, h, delay)
         levels: list[list[DynamicModel]] = [[] for _ in _DECAYS]
         samples = 0
@@ -226,6 +227,8 @@ class _Latent:
                     model_of(each, data, search.scalings) for each in near_the_best(fits, _loss)
                 ]
                 level.append(Ensemble.median(members))
+            if search.work.late():
+                return None
         tried = []
         for decay, models in zip(_DECAYS, levels, strict=True):
             text = f"{n} states, {h} hidden{dead(delay)}, decay {decay:g}"
@@ -238,8 +241,7 @@ class _Latent:
         """Scored are all rows, or about `plenty` per parameter where there are more."""
         rows = sum(map(len, records)) * shape.outputs
         every = max(rows / (plenty * shape.size), 1.0)
-        search = self.search
-        return Data.of(records, shape.delay, search.scalings, every, search.longest)
+        return self.search.data(records, shape.delay, every)
 
     def _paths(
         self,
@@ -263,7 +265,7 @@ class _Latent:
     def _final(self, shape: Shape, decay: float, share: float = 1.0) -> DynamicModel:
         """Fit along the decays to as many samples as a share of the budget allows, then to all."""
         search, decays = self.search, [one for one in _DECAYS if one >= decay]
-        left = share * max(search.work.left, 0.0)
+        left = share * max(search.work.left(), 0.0)
         units = left * self.early / (len(decays) * _STEPS)
         sizes = [(shape.states, shape.hidden, shape.delay)]
         for draws in range(_MOST_DRAWS, _FEWEST_DRAWS - 1, -1):
@@ -282,8 +284,10 @@ class _Latent:
         cost = _step(shape, search.samples)
         further = (left - (search.work.spent - before)) / (cost * draws)
         steps = int(np.clip(further, 2, 8 * _STEPS)) if most < search.samples else 2
-        members = []
+        members: list[tuple[Fitted, LatentModel]] = []
         for number, fitted in enumerate(near_the_best(fits, _loss)):
+            if members and search.work.late():
+                break
             search.watch(0.9 + 0.1 * number / len(fits), "fitting to all records")
             start = moved(fitted, model_of(fitted, data, search.scalings), every)
             ended, _, used = at_decay(start, every, decays[-1], steps)

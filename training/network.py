@@ -169,7 +169,8 @@ class TrainingState:
     history: tuple[HistoryRow, ...] = ()
 
 
-OnStep = Callable[[TrainingState], None]  # after every step, to show progress or write a checkpoint
+# After every step, to show progress or write a checkpoint; True ends the training there.
+OnStep = Callable[[TrainingState], bool | None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -307,7 +308,8 @@ class _Run:
             while progress.stage < len(self.config.horizons_s):
                 for after in self._stage(progress):
                     progress = self.latest = after
-                    self.on_step(progress)
+                    if self.on_step(progress):
+                        return
                     interrupt.stop_here()
                 progress = self.latest = self._settle(progress)
             start = progress.start + 1

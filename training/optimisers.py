@@ -6,7 +6,7 @@ scaled by the diagonal after Marquardt (1963).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -14,6 +14,13 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from narxcal.support.arrays import BoolArray, FloatArray
+
+Late = Callable[[], bool]  # whether a descent has to end and give what it has found
+
+
+def unlimited() -> bool:
+    """Without a limit of time."""
+    return False
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,15 +5,16 @@ free from two starts. With e the RMS errors of a piece in standard deviations of
 are compared piece by piece through ln e: a piece on which every form errs much, such as a record of
 another kind, counts as much as any other. The score of a form is the geometric mean of e.
 
-Work is counted in nominal microseconds, so that a choice does not depend on how busy the machine
-is: what a step of Levenberg-Marquardt consists of, times rates that a command measures.
+Work is planned in nominal microseconds, so that a choice does not depend on how busy the machine
+is: what a step of Levenberg-Marquardt consists of, times rates that a command measures. The clock
+ends a search, and a fit within it, only where the machine is slower than `_PACE` allows for.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TypeVar
 
@@ -25,9 +26,12 @@ from narxcal.record import Record, known_start
 from narxcal.support.arrays import FloatArray, spans
 from narxcal.support.progress import Progress
 from training.folds import surely_below
+from training.latent import Data
 
 UNITS_PER_S = 1_000_000  # nominal microseconds in a CPU second
-_EMERGENCY = 4.0, 60.0  # the clock stops the search at so many times the limit and CPU s more
+_PACE = 0.75  # of nominal speed: work that is not counted, and what other programs take of caches
+_SEARCH = 0.85  # of the processor time at most; the rest is for the fit to all records
+_GRACE_S = 1.0  # of processor time beyond the limit: modules are imported, linear forms are tried
 LAG, ARX, OUTPUT_ERROR = "first-order lag", "ARX", "linear output error"
 NETWORK, LATENT, MEAN = "NARX network", "latent states", "mean"
 FEW = 400  # samples per fold on which no form is worth trying
@@ -138,32 +142,43 @@ def least_squares_cost(samples: float, width: int) -> float:
     return samples * width**2 / _LEAST_SQUARES
 
 
-@dataclass
 class Work:
-    """Nominal microseconds spent of a budget; the clock stops a search only in an emergency."""
+    """Nominal microseconds spent of a budget, within a limit of processor time.
 
-    limit_s: float
-    spent: float = 0.0
-    began: float = field(default_factory=time.process_time)
+    `cut` is whether the clock shortened anything.
+    """
 
-    @property
-    def budget(self) -> float:
-        """Nominal microseconds in all."""
-        return self.limit_s * UNITS_PER_S
+    def __init__(self, limit_s: float) -> None:
+        self.budget = _PACE * limit_s * UNITS_PER_S
+        self.spent = 0.0
+        self.cut = False
+        self._began = time.process_time()
+        self._limit_s, self._share, self._pace = limit_s, _SEARCH, _PACE
 
-    @property
     def left(self) -> float:
-        """Nominal microseconds not spent yet; below zero where more was spent."""
-        return self.budget - self.spent
+        """Nominal microseconds not spent yet, fewer where the clock leaves fewer."""
+        by_count = self.budget - self.spent
+        in_time = self._pace * (self._limit_s + _GRACE_S - self._busy_s()) * UNITS_PER_S
+        self.cut |= in_time < by_count
+        return min(by_count, in_time)
 
     def spend(self, units: float) -> None:
         """Count work that is done."""
         self.spent += units
 
-    @property
     def late(self) -> bool:
-        """Whether the machine is so slow that the search has to end."""
-        return time.process_time() - self.began > _EMERGENCY[0] * self.limit_s + _EMERGENCY[1]
+        """Whether the search, or after it the fit to all records, has to end by the clock."""
+        late = self._busy_s() > self._share * self._limit_s + _GRACE_S
+        self.cut |= late
+        return late
+
+    def end_search(self) -> None:
+        """Leave what is left of the time to the fit to all records, at the pace seen so far."""
+        self._share = 1.0
+        self._pace = min(_PACE, self.spent / (self._busy_s() * UNITS_PER_S))
+
+    def _busy_s(self) -> float:
+        return time.process_time() - self._began
 
 
 @dataclass(eq=False)
@@ -212,6 +227,11 @@ class Search:
     def whole(self) -> int:
         """Samples that the largest fold fits."""
         return max(sum(map(len, fold.fit)) for fold in self.folds)
+
+    def data(self, records: Sequence[Record], delay: tuple[int, ...], every: float = 1.0) -> Data:
+        """Records as latent models are fitted to them, within the time of this search."""
+        found = Data.of(records, delay, self.scalings, every, self.longest)
+        return replace(found, late=self.work.late)
 
     def judge(
         self,

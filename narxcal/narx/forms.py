@@ -1,7 +1,6 @@
 """What `Narx` may choose among: forms of models that simulate, and weighted means of them.
 
-Every form has `inputs`, `outputs`, `simulate(u, start)`, `predict(u, y)`, `to_arrays`. `pack` and
-`unpack` store any of them, by its kind.
+`pack` and `unpack` store any of them, by its kind.
 """
 
 from __future__ import annotations
@@ -13,21 +12,35 @@ from typing import Any, Protocol
 import numpy as np
 
 from narxcal.narx.latent import LatentModel
-from narxcal.narx.network import NarxModel
+from narxcal.narx.network import NarxModel, Scaling
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ModelError
 
 
 class DynamicModel(Protocol):
-    """A model that runs free from a start, and predicts one step ahead."""
+    """A model that runs free from a start, and predicts some steps ahead."""
 
     @property
     def inputs(self) -> int: ...  # noqa: D102
     @property
     def outputs(self) -> int: ...  # noqa: D102
+    @property
+    def output_scaling(self) -> Scaling: ...  # noqa: D102
     def simulate(self, u: FloatArray, start: FloatArray) -> FloatArray: ...  # noqa: D102
-    def predict(self, u: FloatArray, y: FloatArray) -> FloatArray: ...  # noqa: D102
+    def predict(self, u: FloatArray, y: FloatArray, steps: int) -> FloatArray: ...  # noqa: D102
     def to_arrays(self) -> tuple[dict[str, Any], dict[str, FloatArray]]: ...  # noqa: D102
+
+
+_LEAD = 1000  # samples at the first input: twice the longest memory of a latent model
+
+
+def from_rest(model: DynamicModel, u: FloatArray) -> FloatArray:
+    """Free run (time, outputs) over `u` (time, inputs) from the equilibrium at its first sample."""
+    if not len(u):
+        return np.empty((0, model.outputs))
+    before = np.repeat(u[:1], _LEAD, axis=0)
+    rest = model.simulate(before, model.output_scaling.centre[None])[-1:]
+    return model.simulate(np.concatenate([u[:1], u]), rest)[1:]
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,13 +68,18 @@ class Ensemble:
         """Number of outputs."""
         return self.members[0].outputs
 
+    @property
+    def output_scaling(self) -> Scaling:
+        """Scaling of the outputs, the same of all members."""
+        return self.members[0].output_scaling
+
     def simulate(self, u: FloatArray, start: FloatArray) -> FloatArray:
         """Free run (time, outputs) over `u` (time, inputs) from `start` (n, outputs)."""
         return self._joined([member.simulate(u, start) for member in self.members])
 
-    def predict(self, u: FloatArray, y: FloatArray) -> FloatArray:
-        """One step ahead (time, outputs); NaN where a member has none."""
-        return self._joined([member.predict(u, y) for member in self.members])
+    def predict(self, u: FloatArray, y: FloatArray, steps: int = 1) -> FloatArray:
+        """`steps` ahead (time, outputs); NaN where a member has none."""
+        return self._joined([member.predict(u, y, steps) for member in self.members])
 
     def _joined(self, runs: Sequence[FloatArray]) -> FloatArray:
         if not self.weights:

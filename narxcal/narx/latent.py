@@ -291,11 +291,11 @@ class LatentModel:
         free = self.output_scaling.up(y[len(first) - begin :])
         return np.concatenate([start, free])[: len(u)]
 
-    def predict(self, u: FloatArray, y: FloatArray) -> FloatArray:
-        """One step ahead (time, p): the free run, corrected by its last error as AR(1) noise."""
+    def predict(self, u: FloatArray, y: FloatArray, steps: int = 1) -> FloatArray:
+        """`steps` ahead (time, p): the free run, corrected by its last error as AR(1) noise."""
         known = np.flatnonzero(np.isfinite(y).all(axis=1))
         result = np.full(y.shape, np.nan)
-        if not len(known) or len(y) < 2:
+        if not len(known) or len(y) <= steps:
             return result
         head = y[known[0] : known[0] + self.memory]
         free = np.full(y.shape, np.nan)
@@ -303,7 +303,7 @@ class LatentModel:
         x0 = self.initial_state(inputs[: len(head)], self.output_scaling.down(head))
         run = latent_run(self.parts, inputs, x0, self.bounds)[2]
         free[known[0] :] = self.output_scaling.up(run)
-        result[1:] = free[1:] + self.persistence * (y[:-1] - free[:-1])
+        result[steps:] = free[steps:] + self.persistence**steps * (y - free)[:-steps]
         return result
 
     def equilibrium(self, u: FloatArray) -> FloatArray:

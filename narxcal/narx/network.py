@@ -312,10 +312,11 @@ class NarxModel:
         y = self.weights.run(tapped, (AT_START, history[None]))[0]
         return np.concatenate([first, self.output_scaling.up(y)])[: len(inputs)]
 
-    def predict(self, u: ArrayLike, y: ArrayLike) -> FloatArray:
-        """One-step-ahead prediction (open loop) from measured `y` (time, outputs).
+    def predict(self, u: ArrayLike, y: ArrayLike, steps: int = 1) -> FloatArray:
+        """Prediction `steps` ahead (one: open loop) from measured `y` (time, outputs).
 
-        Sample 0 has no past and is NaN, and so is every sample whose history holds a NaN.
+        The first `steps` samples have no past and are NaN, and so is every sample whose history
+        holds a NaN.
         """
         inputs, measured = checked_inputs(u, self.inputs), np.asarray(y, dtype=np.float64)
         if measured.shape != (len(inputs), self.outputs):
@@ -323,16 +324,18 @@ class NarxModel:
                 f"expected outputs of shape {(len(inputs), self.outputs)}, found {measured.shape}"
             )
         result = np.full(measured.shape, np.nan)
-        if len(measured) < 2:
+        origins = np.arange(len(measured) - steps)
+        if not len(origins):
             return result
         scaled, lags = self.output_scaling.down(measured), self.config.lags
-        rows = np.maximum(np.arange(len(scaled) - 1)[:, None] - np.arange(lags), 0)
-        past = scaled[rows].reshape(len(rows), -1)
-        tapped = tap(self.input_scaling.down(inputs), self.config.taps)[1:]
-        # A free run that starts anew from measured outputs at every sample.
-        steps = self.weights.run(tapped, (np.arange(len(past)), past))[0]
+        past = scaled[np.maximum(origins[:, None] - np.arange(lags), 0)].reshape(len(origins), -1)
+        tapped = tap(self.input_scaling.down(inputs), self.config.taps)
         known = np.isfinite(past).all(axis=1)
-        result[1:][known] = self.output_scaling.up(steps)[known]
+        for step in range(1, steps + 1):
+            # A free run of one sample that starts anew from the past of every origin.
+            ahead = self.weights.run(tapped[step:][: len(origins)], (origins, past))[0]
+            past = np.hstack([ahead, past[:, : -self.outputs]])
+        result[steps:][known] = self.output_scaling.up(ahead)[known]
         return result
 
     def to_arrays(self) -> tuple[dict[str, Any], dict[str, FloatArray]]:

@@ -114,6 +114,9 @@ def test_one_step_is_the_free_run_and_half_its_last_error():
     steps = model.predict(u, y)
     assert np.isnan(steps[0, 0])
     np.testing.assert_allclose(steps[41, 0], 1.0, atol=1e-6)
+    ahead = model.predict(u, y, 3)
+    assert np.flatnonzero(np.isnan(ahead)).tolist() == [0, 1, 2]
+    np.testing.assert_allclose(ahead[43, 0], 2.0 * 0.5**3, atol=1e-6)
 
 
 @pytest.mark.parametrize("weights", [(), (0.25, 0.75)])

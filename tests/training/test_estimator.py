@@ -8,8 +8,9 @@ import pytest
 import torch
 from sklearn.base import clone, is_regressor
 from sklearn.exceptions import NotFittedError
-from sklearn.model_selection import GridSearchCV
+from sklearn.model_selection import GridSearchCV, TimeSeriesSplit, cross_val_score
 from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
 
 import training.estimator
 from narxcal import Narx, NarxConfig, Record
@@ -41,6 +42,55 @@ def test_it_learns_simulates_predicts_and_scores(lag_record):
     np.testing.assert_allclose(steps[1:], unseen.y[1:], atol=0.05)
 
 
+def test_a_prediction_some_steps_ahead_is_the_free_run_from_the_measurement_before(lag_record):
+    model, unseen = Narx(STRUCTURE, QUICK).fit([lag_record(0)]), lag_record(5)
+    u, y = unseen.u, unseen.y + 0.1 * np.random.default_rng(0).standard_normal(unseen.y.shape)
+    np.testing.assert_array_equal(model.predict(u, y, steps=1), model.predict(u, y))
+    for steps in (2, 7):
+        ahead = model.predict(u, y, steps=steps)
+        assert np.flatnonzero(np.isnan(ahead)).tolist() == list(range(steps))
+        for k in (steps + 1, 200, len(u) - 1):
+            free = model.simulate(u[: k + 1], y[: k + 1 - steps])
+            np.testing.assert_allclose(ahead[k], free[k], rtol=1e-9)
+    assert np.isnan(model.predict(u[:5], y[:5], steps=5)).all()
+
+
+def test_plain_arrays_are_one_record_and_are_predicted_from_rest(lag_record):
+    record = lag_record(0)
+    u, y = record.u, record.y[:, 0]
+    model = Narx(STRUCTURE, QUICK).fit(u, y)
+    assert model.n_features_in_ == 1
+    records = Narx(STRUCTURE, QUICK).fit([record])
+    np.testing.assert_array_equal(model.simulate(u, y[:1]), records.simulate(u, y[:1]))
+    assert model.score(u, y) == records.score([record]) > 0.99
+    still = np.full((50, 1), 1.5)
+    np.testing.assert_allclose(model.predict(still), np.tanh(1.5), atol=0.02)
+    stepped = np.concatenate([still, 0.0 * still])
+    free = model.simulate(np.concatenate([still, stepped]), [np.tanh(1.5)])[50:, 0]
+    np.testing.assert_allclose(model.predict(stepped), free, atol=1e-3)
+    assert model.predict(u[:0]).shape == (0,)
+    both = Narx(STRUCTURE, QUICK).fit(u, np.column_stack([y, 2.0 * y]))
+    assert both.predict(stepped).shape == (100, 2)
+    np.testing.assert_allclose(
+        both.predict(stepped)[:, 1], 2.0 * both.predict(stepped)[:, 0], atol=0.05
+    )
+
+
+def test_searches_of_scikit_learn_take_plain_arrays(lag_record):
+    record = lag_record(0)
+    X, y = pd.DataFrame({"lever": record.u[:, 0]}), record.y[:, 0]
+    pipeline = make_pipeline(StandardScaler(), Narx(STRUCTURE, QUICK))
+    scores = cross_val_score(pipeline, X, y, cv=TimeSeriesSplit(3))
+    assert scores.min() > 0.8  # the first fold learns from four steps
+    errors = cross_val_score(
+        clone(pipeline), X, y, cv=TimeSeriesSplit(3), scoring="neg_root_mean_squared_error"
+    )
+    assert errors.min() > -0.5  # each fold starts from rest, which it is not at
+    search = GridSearchCV(pipeline, {"narx__structure__hidden": [1, 3]}, cv=TimeSeriesSplit(2))
+    assert search.fit(X, y).score(X, y) > 0.99
+    assert search.predict(X).shape == y.shape
+
+
 def test_pairs_of_arrays_are_records(lag_record):
     one, two = lag_record(0), lag_record(1)
     records = Narx(STRUCTURE, QUICK).fit([one, two])
@@ -68,7 +118,7 @@ def test_outputs_that_never_vary_score_nothing_and_not_an_error(lag_record):
 @pytest.mark.parametrize(
     ("given", "found"),
     [
-        ((np.zeros((9, 2)), np.zeros(9)), "ndarray of shape (9, 2)"),
+        ((np.zeros((9, 2)),), "ndarray of shape (9, 2)"),
         (([np.zeros(9), np.zeros(9)],), "ndarray of shape (9,)"),
         ((None,), "NoneType"),
         (([(np.zeros(9), np.zeros(9), "name")],), "tuple"),
@@ -157,6 +207,21 @@ def test_without_a_past_nothing_is_predicted(lag_record):
                 "record 2: output 1 of 1 has no known sample that a free run could start from. "
                 "Leave this record out, or fill its first sample"
             ),
+        ),
+        (
+            lambda model, u, y: model.simulate(u, y),
+            (
+                "the start of 200 samples covers all 200 of the inputs, so nothing is simulated. "
+                "Give the first k samples, or `predict` for one step"
+            ),
+        ),
+        (
+            lambda model, u, y: model.predict(u, y, steps=0),
+            "expected a prediction of at least one step, found steps = 0",
+        ),
+        (
+            lambda model, u, y: model.fit(u, y[:-1]),
+            "record 1: inputs and outputs have to be of one length, found 200 and 199 samples",
         ),
         (
             lambda model, u, y: model.simulate(u, y[:0]),

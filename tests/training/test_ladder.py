@@ -1,14 +1,17 @@
 """The form of a model is chosen by held-out free runs: what wins where, why, and bad input."""
 
-from itertools import pairwise
+from itertools import count, pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import torch  # noqa: F401 (its import takes seconds of processor time, which a first fit would count)
 from sklearn.base import clone
 
 from narxcal import Narx, Record
 from narxcal.narx.network import Scaling
 from narxcal.support.errors import ConfigError, DataError, ModelError
+from training import search
 from training.ladder import Limits, choose, divide
 from training.latent import Data, Shape, fit_linear, grown, path
 from training.search import record_folds
@@ -136,7 +139,7 @@ def test_records_of_different_patterns_get_a_model_that_is_good_on_all_of_them()
         np.sign(np.repeat(draw.standard_normal(10), 30)),
     ]
     records = [hammerstein(u, seed) for seed, u in enumerate(patterns)]
-    found = choose(records, Limits(8.0))
+    found = choose(records, Limits(20.0))
     unseen = hammerstein(np.repeat(draw.uniform(0.4, 1.0, 30), 10), 9)
     error = found.model.simulate(unseen.u, unseen.y[:20])[20:] - unseen.y[20:]
     line = choose(records, Limits(2.0, linear=True))
@@ -211,6 +214,17 @@ def test_masked_outputs_and_several_channels_are_fitted():
     y[50:60, 0] = np.nan
     model = Narx(time_limit_s=0.05).fit([Record(np.column_stack([one.u, two.u]), y)])
     assert model.score([(np.column_stack([one.u, two.u]), y)]) > 0.9
+
+
+def test_the_clock_ends_a_search_within_a_fit_and_what_was_found_is_returned(monkeypatch):
+    clock = count(0.0, 0.1)
+    monkeypatch.setattr(search, "time", SimpleNamespace(process_time=lambda: next(clock)))
+    found = choose([curved_system(0, 500)], Limits(20.0))
+    assert 20.0 * 0.85 < next(clock) < 22.0
+    assert "the clock shortened the search: the result depends on the machine" in found.status
+    assert set(found.tried["rung"]) == {"first-order lag", "ARX", "linear output error"}
+    unseen = curved_system(9)
+    assert np.std(found.model.simulate(unseen.u, unseen.y[:20])[20:] - unseen.y[20:]) < 0.5
 
 
 def test_without_a_choice_there_is_no_interval_and_no_table():

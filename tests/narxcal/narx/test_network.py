@@ -44,14 +44,16 @@ def test_delay_lines_stand_still_before_their_start():
     assert history_before(y, 2, 3).tolist() == [2.0, 20.0, 1.0, 10.0, 1.0, 10.0]
 
 
-def test_one_step_ahead_is_the_network_on_measured_outputs():
+def test_some_steps_ahead_are_a_free_run_from_measured_outputs():
     network = model(lags=2, taps=(0, 1))
     rng = np.random.default_rng(1)
     u, y = rng.normal(size=(30, 2)), rng.normal(size=(30, 2))
-    steps = network.predict(u, y)
-    assert np.isnan(steps[0]).all()
-    for k in (2, 11, 29):
-        assert network.simulate(u[: k + 1], y[:k])[k] == pytest.approx(steps[k], rel=1e-10)
+    for ahead in (1, 2, 5):
+        steps = network.predict(u, y, ahead)
+        assert np.flatnonzero(np.isnan(steps).any(axis=1)).tolist() == list(range(ahead))
+        for k in (ahead + 1, 11, 29):
+            free = network.simulate(u[: k + 1], y[: k + 1 - ahead])[k]
+            assert free == pytest.approx(steps[k], rel=1e-10)
 
 
 def test_one_step_ahead_is_unknown_where_the_history_is():
