@@ -306,7 +306,7 @@ def test_a_faulty_output_is_not_fused_and_flagged(tmp_path):
     assert np.isnan(found["N1_pct_innovation"][rows]).all()
     assert np.abs(found["N1_pct_fused"] - found["N1_pct_prediction"])[rows].max() < 3.0
     assert summary.to_dict()["findings"] == [fault.row()]
-    assert summary.cautions[0] == "log.csv: N1_pct bias, 20 to 30 s: +40 %"
+    assert summary.cautions[0] == "log.csv: N1_pct bias, t+0:20.0 to t+0:30.0: +40 %"
 
 
 def test_a_faulty_input_is_held_and_then_pauses_the_model(tmp_path):
