@@ -221,9 +221,7 @@ def _stuck(log: Log, name: str, start: int, stop: int) -> Finding:
     text = f"stays at {log[name][start]:.4g} while others move"
     start_s, end_s = _span(log, start, stop)
     began_s = float(log.time_s[0])
-    return Finding(
-        "stuck", name, start_s, end_s, evidence=text, log=log.name, origin_s=began_s
-    )
+    return Finding("stuck", name, start_s, end_s, evidence=text, log=log.name, origin_s=began_s)
 
 
 _Span = tuple[float, float] | tuple[None, None]

@@ -147,7 +147,7 @@ const CLOCK = [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10
 
 /* Three numbers or more on an axis of values, however low it is. */
 function values(plot, _, low, high, step) {
-  while ((high - low) / step < 4) step /= step.toExponential()[0] === "5" ? 2.5 : 2;
+  while ((high - low) / step < 3) step /= 2;
   const first = Math.ceil(low / step), last = Math.floor(high / step);
   return Array.from({length: last - first + 1}, (_, k) => (first + k) * step);
 }

@@ -46,7 +46,7 @@ _LEAST: Final = 1e-9  # range of a curve that is shown to six digits
 _MISSING: Final = 0xFFFFFFFF
 _DASHES: Final[tuple[tuple[int, ...], ...]] = ((), (6, 4), (2, 3))
 _PIXELS: Final = 8000  # of a stretch of missing samples, over the whole chart
-_DRIVER_PX, _OUTPUT_PX, _DEVIATION_PX = 70, 160, 70
+_DRIVER_PX, _OUTPUT_PX, _DEVIATION_PX = 70, 160, 84
 
 
 class Line(NamedTuple):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -330,14 +329,9 @@ def transients(views: Sequence[LogView], *, assessable: bool) -> Table:
 
 
 def reasons(assessments: Sequence[Assessment]) -> Table:
-    """Why transients could not be assessed, the most frequent reason first.
-
-    Events of different lengths count together.
-    """
-    found: Counter[str] = Counter()
-    for reason, count in not_assessable(assessments).items():
-        found[re.sub(r"\.\. of \d+ samples", ".. samples", reason)] += count
-    rows = [cells(reason, count) for reason, count in found.most_common()]
+    """Why transients could not be assessed, the most frequent reason first."""
+    found = not_assessable(assessments, figures=True)
+    rows = [cells(reason, count) for reason, count in found.items()]
     return Table("", ("reason", "transients"), tuple(rows))
 
 

@@ -204,6 +204,7 @@ ACT = """(async () => {
     [...one.root.querySelectorAll(".u-value")].map(each => each.textContent));
   const range = () => view.plots.map(one => [one.scales.x.min, one.scales.x.max]);
   const found = {all: range(), size: view.size};
+  found.ticks = view.plots.map(one => one.axes[1]._splits.length);
   mouse("mousemove", 12.3); await pause(50);
   found.hover = shown();
   found.cursors = view.plots.map(one => one.cursor.idx);
@@ -282,6 +283,7 @@ def test_the_cursor_shows_the_values_of_the_csv_in_all_panels(seen):
     assert float(measured) == at["N1_pct"]
     assert float(deviation) == pytest.approx(float(model) - float(measured), abs=2e-3)
     assert found["cursors"] == [123, 123, 123]
+    assert min(found["ticks"]) >= 3
 
 
 @pytest.mark.slow
@@ -311,3 +313,6 @@ def test_paper_shows_the_drawing_and_not_the_chart(seen):
         text = "".join(page.extract_text() for page in PdfReader(one["pdf"]).pages)
         assert "Drag to zoom" not in text
         assert "time after its start [min:s]" in text
+        assert "Pearson ranking" not in text
+        assert "Fast pull at" in text  # it failed
+        assert "Fast push at" not in text
