@@ -5,7 +5,7 @@ Files keep seconds of the log's own clock: since 1970-01-01 UTC where its stamps
 
 from __future__ import annotations
 
-from datetime import datetime, timedelta
+import numpy as np
 
 # No recorder counts the seconds of three years: what is later counts from 1970.
 _DATED_S = 1e8
@@ -55,4 +55,4 @@ def moment(
 
 
 def _date(time_s: float) -> str:
-    return f"{datetime(1970, 1, 1) + timedelta(seconds=int(time_s)):%Y-%m-%d %H:%M:%S}"
+    return str(np.datetime64(int(time_s), "s")).replace("T", " ")

@@ -472,7 +472,7 @@ def test_replay_writes_prediction_fused_value_and_flags(project, narxcal, tmp_pa
     document, table = strict(done.out), pd.read_csv(out)
     assert document["schema"] == "narxcal.replay/1"
     assert document["rows"] == len(table)
-    assert {"N1_pct_prediction", "N1_pct_fused", "N1_pct_innovation"} <= set(table)
+    assert {"N1_pct_free_run", "N1_pct_fused", "N1_pct_innovation"} <= set(table)
     assert {"inside_envelope", "held", "gap"} <= set(table)
     assert (
         f"Replayed: {out}\n"

@@ -255,13 +255,19 @@ def test_tests_are_chosen_titled_and_annotated_in_a_file(events, tmp_path):
         ("", "no [[test]] is listed. Write a first version by --write-tests"),
         (
             entry(3.0),
-            "no event of the log 'flight.csv:left' begins at start_s = 3. The nearest has start_s = 19.900",
+            (
+                "no event of the log 'flight.csv:left' begins at start_s = 3. "
+                "The nearest has start_s = 19.900"
+            ),
         ),
         (
             entry(19.9).replace("flight.csv:left", "fligt.csv:left"),
             "no event is of the log 'fligt.csv:left'. Did you mean 'flight.csv:left'?",
         ),
-        (entry(19.9) * 2, "the event start_s = 19.9 of 'flight.csv:left' is listed twice. Keep one"),
+        (
+            entry(19.9) * 2,
+            "the event start_s = 19.9 of 'flight.csv:left' is listed twice. Keep one",
+        ),
         (
             entry(19.9, number="1") + entry(39.9, number="1"),
             "two tests have the number '1'. Change one",
