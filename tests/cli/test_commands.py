@@ -224,8 +224,8 @@ def test_info_shows_the_last_evaluation_of_these_weights_only(project, narxcal, 
     shutil.copytree(project / "run", run, ignore=shutil.ignore_patterns("evaluate"))
     assert strict(narxcal("info", run, "--json").out)["metrics"] is None
     assert (
-        f"No figures in {run / 'evaluate'}. Write them by narxcal evaluate {run}; those of "
-        "evaluate --out DIR are in DIR/evaluate.json\n"
+        f"{run / 'evaluate'} holds no evaluation of these weights: one that evaluate --out DIR "
+        "wrote is in DIR\n"
     ) in narxcal("info", run).out
     done = narxcal("evaluate", run, "--json")
     metrics = strict(narxcal("info", run, "--json").out)["metrics"]
