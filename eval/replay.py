@@ -57,7 +57,7 @@ class ReplayOptions(Section):
     `warmup_s` of the log itself, which delays the output so long, and the model's is that of the
     bundle, which was estimated from whole flights. `auto` is `log` at full speed and `stored`
     live. For a bundle without noise both are estimated from the log. `interval` is the share of
-    samples that an interval covers: of the free run, where the bundle has one, and of what is fused.
+    samples that the intervals cover, that of the free run only where the bundle has one.
     """
 
     engine: str | None = None
