@@ -262,7 +262,7 @@ class _Clock(MaxNLocator):
         low, high = vmin - self._began_s, vmax - self._began_s
         step = next((one for one in _STEPS_S if high - low <= 9.0 * one), None)
         if step is None:
-            return super().tick_values(low, high) + self._began_s
+            return [at + self._began_s for at in super().tick_values(low, high)]
         return step * np.arange(np.ceil(low / step), np.floor(high / step) + 1.0) + self._began_s
 
 
