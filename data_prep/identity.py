@@ -32,6 +32,7 @@ import numpy as np
 from narxcal.channels import CHANNELS, described
 from narxcal.support.arrays import BoolArray, FloatArray, IntArray, bridge_gaps, noise_level
 from narxcal.support.errors import DataError, ModelError
+from narxcal.support.moments import stamp
 
 if TYPE_CHECKING:
     from data_prep.log import Log, Source
@@ -309,7 +310,7 @@ class Shared(NamedTuple):
         share, from_s, to_s = self.overlap
         return (
             f"{self.log} holds the samples of {self.other}: {100.0 * share:.0f} % of it, "
-            f"{from_s:.6g} to {to_s:.6g} s"
+            f"{stamp(from_s)} to {stamp(to_s)}"
         )
 
 
@@ -341,6 +342,5 @@ def refuse_duplicates(logs: Sequence[Log], what: str) -> None:
     for shared in duplicates(logs):
         raise DataError(
             f"{shared.words}; {what}",
-            file=shared.log,
             hint="Leave one of the two out of [logs] files, or of [split]",
         )

@@ -15,6 +15,7 @@ from data_prep.identity import Identity
 from narxcal.channels import Channel, described
 from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import DataError
+from narxcal.support.moments import moment
 
 CODE_WORD = "code word"  # begins the reason of such a sample in an audit
 LONG_SPAN_S = 1.0  # an audit lists spans of this length, and only counts shorter ones
@@ -85,7 +86,8 @@ class Finding:
 
     `size` is in `unit`: of a unit the factor, of a delay seconds; NaN where the kind has none.
     `probability` is one minus that of such a finding on a sound log. `partner` is the other
-    channel of an exchange or contradiction, `time_s` stands for the clock. `log` is its log's name.
+    channel of an exchange or contradiction, `time_s` stands for the clock. `log` is its log's name,
+    `origin_s` when that began; all times are seconds on its own clock.
     """
 
     kind: Kind
@@ -98,6 +100,7 @@ class Finding:
     evidence: str = ""
     partner: str = ""
     log: str = ""
+    origin_s: float = 0.0
 
     @property
     def remedy(self) -> str:
@@ -144,9 +147,16 @@ class Finding:
     @property
     def caution(self) -> str:
         """One line for a reader."""
-        when = f"{self.start_s:.6g} to {self.end_s:.6g} s" if self.local else "the whole log"
-        text = f"{self.log}: {' and '.join(self.channels)} {self.kind}, {when}: {self.evidence}"
+        names = " and ".join(self.channels)
+        text = f"{self.log}: {names} {self.kind}, {self.when or 'the whole log'}: {self.evidence}"
         return f"{text}. {self.remedy}" if self.remedy else text
+
+    @property
+    def when(self) -> str:
+        """From when to when, for people; empty for the whole log."""
+        if self.start_s is None:
+            return ""
+        return moment(self.start_s, self.origin_s, self.end_s)
 
 
 @dataclass(frozen=True)
@@ -213,6 +223,10 @@ class Log:
     def dt_s(self) -> float:
         """Sampling interval in seconds, from the whole span so that rounding does not show."""
         return float(self.time_s[-1] - self.time_s[0]) / (len(self.time_s) - 1)
+
+    def moment(self, time_s: float, until_s: float | None = None, *, decimals: int = 1) -> str:
+        """A time of the log, or a stretch of time, for people."""
+        return moment(time_s, float(self.time_s[0]), until_s, decimals=decimals)
 
     @cached_property
     def identity(self) -> Identity:

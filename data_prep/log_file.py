@@ -24,6 +24,7 @@ from data_prep.words import CodeWords, Labels, switch
 from narxcal.channels import described
 from narxcal.support.errors import DataError, did_you_mean
 from narxcal.support.files import sha256_of
+from narxcal.support.moments import stamp
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -364,8 +365,8 @@ def _check_shared_time(parts: Sequence[_Part]) -> None:
     for one, other in combinations(spans.values(), 2):
         if min(one[1], other[1]) < max(one[0], other[0]):
             raise DataError(
-                f"it runs from {one[0]:.10g} to {one[1]:.10g} s and {other[2].name} from "
-                f"{other[0]:.10g} to {other[1]:.10g} s: files of one flight with different "
+                f"it runs from {stamp(one[0])} to {stamp(one[1])} and {other[2].name} from "
+                f"{stamp(other[0])} to {stamp(other[1])}: files of one flight with different "
                 "channels have to share time",
                 file=one[2],
                 channel="time_s",
@@ -393,8 +394,8 @@ def _check_overlap(one: _Part, other: _Part, rows: tuple[IntArray, IntArray]) ->
         wrong_s = np.concatenate([differ, *(apart_s if start < end else [])])
         if len(wrong_s):
             raise DataError(
-                f"it and {other.path.name} overlap from {start:.10g} to {end:.10g} s, and differ "
-                f"at {wrong_s.min():.10g} s",
+                f"it and {other.path.name} overlap from {stamp(start)} to {stamp(end)}, and differ "
+                f"at {stamp(wrong_s.min())}",
                 file=one.path,
                 channel=name,
                 hint=f"{_ONE_CLOCK}; or they are of different flights",

@@ -106,7 +106,8 @@ def of_cleaning(log: Log) -> Log:
             span_s = max(start_s, float(log.time_s[0])), min(stop_s, float(log.time_s[-1]))
             if span_s[1] > span_s[0]:
                 kind, text = kinds[entry.reason]
-                found.append(Finding(kind, entry.channel, *span_s, evidence=text, log=log.name))
+                one = Finding(kind, entry.channel, *span_s, evidence=text, log=log.name)
+                found.append(replace(one, origin_s=float(log.time_s[0])))
     return replace(log, findings=(*log.findings, *found)) if found else log
 
 
@@ -219,7 +220,8 @@ def _moves(log: Log, name: str, start: int, stop: int) -> bool:
 def _stuck(log: Log, name: str, start: int, stop: int) -> Finding:
     text = f"stays at {log[name][start]:.4g} while others move"
     start_s, end_s = _span(log, start, stop)
-    return Finding("stuck", name, start_s, end_s, evidence=text, log=log.name)
+    began_s = float(log.time_s[0])
+    return Finding("stuck", name, start_s, end_s, evidence=text, log=log.name, origin_s=began_s)
 
 
 _Span = tuple[float, float] | tuple[None, None]

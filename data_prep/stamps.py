@@ -21,6 +21,7 @@ from data_prep.grid import ON_GRID
 from data_prep.log import AuditEntry
 from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import DataError
+from narxcal.support.moments import stamp
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -140,7 +141,7 @@ def ordered_rows(stamps: FloatArray, max_gap_s: float, file: str) -> Rows:
     if (lateness > max_gap_s).any():
         at = int((lateness > max_gap_s).argmax())
         raise DataError(
-            f"time goes back from {time[:at].max():.10g} s to {time[at]:.10g} s",
+            f"time goes back from {stamp(time[:at].max())} to {stamp(time[at])}",
             file=file,
             channel="time_s",
             row=int(kept[at]) + 1,

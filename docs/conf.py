@@ -52,4 +52,14 @@ autodoc_default_options = {"members": True}
 html_theme = "pydata_sphinx_theme"
 html_title = "narxcal"
 html_show_sourcelink = False
-html_theme_options = {"show_prev_next": True, "use_edit_page_button": False}
+# All pages by section beside each page: the theme's own list shows those of one section alone, and
+# none where the sections are captions of one page.
+html_sidebars = {"**": ["globaltoc.html"]}
+html_static_path = ["static"]
+html_css_files = ["site.css"]
+html_theme_options = {
+    "navbar_center": [],
+    "navbar_persistent": ["search-field"],
+    "show_prev_next": True,
+    "use_edit_page_button": False,
+}

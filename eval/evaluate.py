@@ -33,6 +33,7 @@ from training.transients import Assessment, Tally, not_assessable, tally
 
 SCHEMA = "narxcal.evaluate/1"
 _MANY_OUTSIDE = 0.1  # share of a log's samples outside the envelope from which on it is reported
+_MOST_REASONS = 3  # why transients are not assessed, in the verdict
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,9 +141,8 @@ class Evaluation:
             rated = self.config.transients.channels
             channels = [name for name in rated if name in own[0].run.channels]
             if not any(each.verdict.ok is not None for each in found):
-                reasons = not_assessable(found)
                 none = "no event was found" if channels else _none_rated(rated, own[0].run.channels)
-                most = max(reasons, key=lambda name: reasons[name], default=none)
+                most = next(iter(not_assessable(found, figures=True)), none)
                 texts.append(f"{whose}: no transient could be assessed ({most})")
                 continue
             texts += too_few(counts(found, channels), self.config.least_events, whose)
@@ -239,9 +239,11 @@ class Evaluation:
         whole = [ok for log in self.logs for event in log.events if (ok := event.ok) is not None]
         said = [f"{sum(whole)} of {plural(len(whole), 'event')} pass in every channel."]
         if found.not_assessable:
+            why = not_assessable(self.assessments, figures=True)
+            reasons = [f"{reason} ({count})" for reason, count in why.items()][:_MOST_REASONS]
             said.append(
                 f"{plural(found.not_assessable, 'transient')} could not be assessed and count "
-                "neither way."
+                f"neither way: {'; '.join(reasons)}{', ...' * (len(why) > len(reasons))}."
             )
         return Outcome(passed, headline, (*lines, *said, *self._evidence_words(), *baselines))
 

@@ -85,6 +85,7 @@ class LogEvaluation:
             "sha256": log.source.sha256,
             "samples": len(log),
             "dt_s": log.dt_s,
+            "origin_s": float(log.time_s[0]),
             "channels": channels,
             "events": [each.row() for each in self.assessments],
             "ti_tt": tally_row(self.assessments),

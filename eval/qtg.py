@@ -192,7 +192,7 @@ class Test:
     @property
     def title(self) -> str:
         """Title of the sheet."""
-        return self.entry.title or usual_title(self.manoeuvre, self.one)
+        return self.entry.title or usual_title(self.manoeuvre, self.one, self.view.log)
 
     @property
     def result(self) -> bool | None:
@@ -264,9 +264,10 @@ def result_of(one: AssessedEvent, deciding: Sequence[str]) -> bool | None:
     return AssessedEvent(one.event, found).ok
 
 
-def usual_title(manoeuvre: Manoeuvre, one: AssessedEvent) -> str:
+def usual_title(manoeuvre: Manoeuvre, one: AssessedEvent, log: Log) -> str:
     """Title of a test that is not given one."""
-    return f"{manoeuvre.title}, {one.event.speed}, {one.event.log} at {one.event.start_s:.2f} s"
+    when = log.moment(one.event.start_s, decimals=2)
+    return f"{manoeuvre.title}, {one.event.speed}, {log.name} at {when}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -519,12 +520,12 @@ def _matched(
         near = min(own, key=lambda one: abs(one.at[1] - entry.start_s))
         if abs(near.at[1] - entry.start_s) > 0.5 * near.view.log.dt_s:
             raise ConfigError(
-                f"no event of the log '{entry.log}' begins at {entry.start_s:g} s",
+                f"no event of the log '{entry.log}' begins at start_s = {entry.start_s:.10g}",
                 file=file,
-                hint=f"The nearest begins at {near.at[1]:.3f} s",
+                hint=f"The nearest has start_s = {near.at[1]:.3f}",
             )
         if id(near) in named:
-            problem = f"the event at {entry.start_s:g} s of '{entry.log}' is listed twice"
+            problem = f"the event start_s = {entry.start_s:.10g} of '{entry.log}' is listed twice"
             raise ConfigError(problem, file=file, hint="Keep one")
         named[id(near)] = near, entry
     return list(named.values())
@@ -555,7 +556,7 @@ def start_file(events: Evaluated, file: Path) -> str:
     reasons = [one.reason(deciding, rules) for one in events.found]
     rows = [
         _entry(one, use=not why).model_dump()
-        | {"title": usual_title(rules.manoeuvres[one.one.event.label], one.one)}
+        | {"title": usual_title(rules.manoeuvres[one.one.event.label], one.one, one.view.log)}
         for one, why in zip(events.found, reasons, strict=True)
     ]
     if file.suffix == ".csv":

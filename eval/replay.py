@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from statistics import NormalDist
 from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
@@ -55,8 +56,8 @@ class ReplayOptions(Section):
     Live, the noise is that of the bundle. At full speed the sensors' is estimated from the first
     `warmup_s` of the log itself, and the model's is that of the bundle, which was estimated from
     whole flights. For a bundle without noise both are estimated from the log, which delays the
-    output so long. `interval` is the share of samples that the free run's interval covers, where
-    the bundle has one.
+    output so long. `interval` is the share of samples that the intervals cover, that of the free
+    run only where the bundle has one.
     """
 
     engine: str | None = None
@@ -104,7 +105,8 @@ class Rows:
     """Samples of one engine, `(time,)` or `(time, n_out)`; NaN until they are fused.
 
     `valid` (time, n_out) is true where the inputs were measured and no fault masks the output,
-    `half_width` (time, n_out) that of the interval of the prediction, NaN without one.
+    `half_width` (time, n_out) that of the interval of the prediction, NaN without one,
+    `fused_half_width` that of the fused value, by the filter's variance, NaN where none is fused.
 
     `runs` are (start, stop, fresh) without a gap inside; with `fresh` the model starts anew.
     """
@@ -119,6 +121,7 @@ class Rows:
     gap: BoolArray
     valid: BoolArray
     half_width: FloatArray
+    fused_half_width: FloatArray
     runs: list[tuple[int, int, bool]]
 
 
@@ -260,7 +263,7 @@ class EngineReplay:
         half = self._half_width(inputs, prediction, alive)
         return Rows(
             piece.time_s, measured, prediction, blank, blank, inside, held & alive, gap, valid,
-            half, runs,
+            half, blank, runs,
         )  # fmt: skip
 
     def _half_width(
@@ -339,11 +342,14 @@ class EngineReplay:
     def _fuse(self, rows: Rows, fuser: FastFuser) -> Rows:
         measured = np.where(self._fusable, rows.measured, np.nan)
         fused, innovation = rows.fused.copy(), rows.innovation.copy()
+        half = rows.fused_half_width.copy()
+        z = NormalDist().inv_cdf(0.5 + 0.5 * self._options.interval)
         for start, stop, fresh in rows.runs:
             fuse = fuser.run if fresh else fuser.extend
             result = fuse(rows.prediction[start:stop], measured[start:stop])
             fused[start:stop], innovation[start:stop] = result.values, result.innovations
-        return replace(rows, fused=fused, innovation=innovation)
+            half[start:stop] = np.where(self._fusable, z * np.sqrt(result.variances), np.nan)
+        return replace(rows, fused=fused, innovation=innovation, fused_half_width=half)
 
 
 def _counted(names: Sequence[str], counts: NDArray[np.int64]) -> dict[str, int]:
@@ -469,10 +475,11 @@ def replay(
     |---|---|
     | `time_s` | time on the model's sampling grid, as of `data_prep.read_logs` |
     | `engine` | its name, where several are replayed |
-    | `X_prediction` | free run of output X, from inputs up to and including this sample |
-    | `X_fused` | prediction and measurement merged |
+    | `X_free_run` | free run of output X, from inputs up to and including this sample |
+    | `X_free_run_low`, `X_free_run_high` | its interval, where the bundle has one |
+    | `X_fused` | free run and measurement merged |
+    | `X_fused_low`, `X_fused_high` | its interval, by the fuser's variance |
     | `X_innovation` | measured minus expected, blank where not measured or only interpolated |
-    | `X_low`, `X_high` | interval of the free run, where the bundle has one |
     | `inside_envelope` | 1 inside the envelope of the steady-state model |
     | `held` | 1 where the last value of a missing input was used |
     | `gap` | 1 where the model started anew, or, with blank predictions, could not run |
@@ -510,6 +517,11 @@ class _Replay:
         self._first_s: float | None = None
         self._began = clock.now()
 
+    @property
+    def _has_interval(self) -> bool:
+        """Whether the bundle has an interval of the free run."""
+        return self.model.calibration.interval is not None
+
     def _engines(self, log: Path) -> tuple[str, ...]:
         known = self.file.engines
         if self.options.engine is None:
@@ -542,8 +554,8 @@ class _Replay:
             self._emit(file, rows)
 
     def _header(self) -> list[str]:
-        band = ("low", "high") if self.model.calibration.interval is not None else ()
-        parts = ("prediction", "fused", "innovation", *band)
+        band = ("free_run_low", "free_run_high") if self._has_interval else ()
+        parts = ("free_run", *band, "fused", "fused_low", "fused_high", "innovation")
         per_channel = [f"{name}_{part}" for name in self.outputs for part in parts]
         engine = ["engine"] if len(self.engines) > 1 else []
         valid = [f"{name}_valid" for name in self.outputs]
@@ -586,9 +598,9 @@ class _Replay:
             file.flush()
 
     def _lines(self, rows: Rows, engine: str | None) -> list[tuple[float, str]]:
-        parts = [rows.prediction, rows.fused, rows.innovation]
-        if self.model.calibration.interval is not None:
-            parts += [rows.prediction - rows.half_width, rows.prediction + rows.half_width]
+        free, fused, half = rows.prediction, rows.fused, rows.fused_half_width
+        band = [free - rows.half_width, free + rows.half_width] if self._has_interval else []
+        parts = [free, *band, fused, fused - half, fused + half, rows.innovation]
         results = np.stack(parts, axis=2).reshape(len(rows.time_s), -1)
         table = np.column_stack([rows.time_s, results]).tolist()
         flags = np.column_stack([rows.inside, rows.held, rows.gap, rows.valid]).astype(int)

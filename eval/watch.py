@@ -127,18 +127,22 @@ class Alarm:
 
 @dataclass(frozen=True, eq=False)
 class Watch:
-    """What became of a fleet; `flights` tail -> flights in order, `hours` their end (n,)."""
+    """What became of a fleet; `flights` tail -> flights in order, `hours` their end (n,).
+
+    `unjudged` are the tails of which no series is long enough.
+    """
 
     flights: Mapping[str, tuple[Flight, ...]]
     hours: Mapping[str, FloatArray]
     effects: tuple[Effects, ...]
     priors: Mapping[tuple[str, str], Prior]
     alarms: tuple[Alarm, ...]
+    unjudged: tuple[str, ...]
     remarks: tuple[str, ...]
 
     @property
     def outcome(self) -> Outcome:
-        """Pass without an alarm; None where no series is long enough to judge."""
+        """Pass without an alarm; None where a tail has no series that is long enough to judge."""
         total = sum(float(one[-1]) for one in self.hours.values())
         size = f"{plural(len(self.flights), 'tail')}, {total:.1f} flight hours"
         if not self.effects:
@@ -148,7 +152,10 @@ class Watch:
             "changes that are found are expected to be false, at most (Benjamini-Yekutieli)"
         )
         headline = f"{plural(len(self.alarms), 'alarm')} in {size}"
-        return Outcome(not self.alarms, headline, (line, *self.remarks))
+        if self.unjudged:
+            headline += f"; {plural(len(self.unjudged), 'tail')} cannot be judged"
+        passed = False if self.alarms else None if self.unjudged else True
+        return Outcome(passed, headline, (line, *self.remarks))
 
     def document(self) -> dict[str, Any]:
         """Everything as JSON."""
@@ -206,8 +213,12 @@ def watch(dataset: Folder, engine: str | None = None) -> Watch:
         [series for *_, series in found], [(key.channel, key.quantity) for key, *_ in found]
     )
     effects = tuple(Effects(*one, drift) for one, drift in zip(found, drifts, strict=True))
-    remarks = tuple(_remarks(waiting, logs, flights, effects))
-    return Watch(flights, hours, effects, priors, _alarms(effects, flights, hours), remarks)
+    judged = {one.key.tail for one in effects}
+    unjudged = tuple(tail for tail in sorted(map(str, logs["tail"].unique())) if tail not in judged)
+    remarks = tuple(_remarks(waiting, logs, {tail: len(flights.get(tail, ())) for tail in unjudged},
+                             effects))  # fmt: skip
+    alarms = _alarms(effects, flights, hours)
+    return Watch(flights, hours, effects, priors, alarms, unjudged, remarks)
 
 
 def _check(dataset: Folder) -> int:
@@ -519,21 +530,20 @@ def commands(alarm: Alarm, flights: str = "FLIGHTS", run: str = "RUN") -> tuple[
 def _remarks(
     waiting: int,
     logs: pd.DataFrame,
-    flights: Mapping[str, tuple[Flight, ...]],
+    unjudged: Mapping[str, int],
     effects: Sequence[Effects],
 ) -> Iterator[str]:
-    """What a reader has to know of the dataset before the figures."""
+    """What a reader has to know of the dataset; `unjudged` are tails with their flights."""
     if waiting:
         yield f"{waiting} of the listed batches are not evaluated yet: go on with narxcal fleet"
     failed = int((logs["status"] == FAILED).sum())
     if failed:
         yield f"{plural(failed, 'file')} could not be evaluated (table logs)"
-    short = [tail for tail, own in flights.items() if len(own) < LEAST_FLIGHTS]
-    if short:
-        yield f"nothing can be said of tails with fewer than {LEAST_FLIGHTS} flights: " + ", ".join(
-            f"{tail} ({plural(len(flights[tail]), 'flight')})" for tail in short
+    if unjudged:
+        yield f"nothing can be said of tails with fewer than {LEAST_FLIGHTS} judged flights: " + (
+            ", ".join(f"{tail} ({plural(own, 'flight')})" for tail, own in unjudged.items())
         )
     judged = {one.key.quantity for one in effects}
     lacking = [name for name in QUANTITIES if name not in judged]
-    if lacking and len(short) < len(flights):
+    if lacking and effects:
         yield f"no engine has {LEAST_FLIGHTS} flights with: {', '.join(lacking)}"

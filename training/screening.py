@@ -279,7 +279,10 @@ def _described(
     level = float(np.median(np.abs(blocks.r[start:stop])))
     probability = _probability(subject, name, level)
     probability = max(probability, 1.0 - RATE_PER_H * max(subject.hours, 0.1))
-    return Finding(kind, name, first, last, size, unit, probability, text, log=subject.log.name)
+    return Finding(
+        kind, name, first, last, size, unit, probability, text,
+        log=subject.log.name, origin_s=log_ends[0],
+    )  # fmt: skip
 
 
 def _probability(subject: _Subject, name: str, level: float) -> float:
@@ -356,7 +359,7 @@ def _motionless(subject: _Subject, name: str) -> _Subject:
             text = f"stays at {level:.4g} while {_listed(subject.channels, name)} move"
             one = Finding(
                 "stuck", name, first, last, level, CHANNELS[name].unit,
-                evidence=text, log=subject.log.name,
+                evidence=text, log=subject.log.name, origin_s=float(subject.log.time_s[0]),
             )  # fmt: skip
             if stop - start > _MOSTLY * len(y):
                 one = replace(one, start_s=None, end_s=None)

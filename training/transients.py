@@ -12,7 +12,6 @@ which is 1/2 at the edge of the tolerance and bounded, so that one wild transien
 from __future__ import annotations
 
 import re
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal, NamedTuple
@@ -41,6 +40,11 @@ from training.rules import (
 # A measured figure in a reason; reasons that differ in nothing else are counted together.
 _FIGURE = re.compile(r"-?\d+(\.\d+)?(e[+-]?\d+)?")
 
+# What makes a transient of such a reason readable.
+_TO_DO = {
+    "samples up to the move": ": raise before_s of [evaluate.transients]",
+    "samples at the end": ": raise after_s of [evaluate.transients]",
+}
 # In the channel's unit: some thirty times the noise of recorded channels, so that 10 % of the
 # response is well above it.
 LEAST_RESPONSE = {"N1_pct": 5.0, "N2_pct": 3.0, "EGT_C": 30.0}
@@ -329,17 +333,39 @@ def tally(assessments: Sequence[Assessment]) -> Tally:
     )
 
 
-def not_assessable(assessments: Sequence[Assessment]) -> dict[str, int]:
-    """Reason -> number of transients that could not be assessed for it, measured figures as `..`.
+def not_assessable(assessments: Sequence[Assessment], *, figures: bool = False) -> dict[str, int]:
+    """Reason -> number of transients that could not be assessed for it.
 
-    In the order of the reasons.
+    A measured figure is `..`, in the order of the reasons; with `figures` it is its range over the
+    transients, with what to do, and the most frequent reason comes first.
     """
-    reasons = Counter(
-        _FIGURE.sub("..", str(each.verdict.reason), count=1)
-        for each in assessments
-        if each.verdict.ok is None
+    found: dict[str, list[str]] = {}
+    for each in assessments:
+        if each.verdict.ok is None:
+            reason = str(each.verdict.reason)
+            number = _FIGURE.search(reason)
+            alike = (
+                re.sub(r" of \d+ samples| samples?\b", " samples", reason) if figures else reason
+            )
+            found.setdefault(_FIGURE.sub("..", alike, count=1), []).append(
+                number[0] if number else ""
+            )
+    if not figures:
+        return {reason: len(found[reason]) for reason in sorted(found)}
+    return {
+        _ranged(reason, numbers): len(numbers)
+        for reason, numbers in sorted(found.items(), key=lambda one: (-len(one[1]), one[0]))
+    }
+
+
+def _ranged(reason: str, numbers: Sequence[str]) -> str:
+    ends = (
+        []
+        if not numbers[0]
+        else list(dict.fromkeys((min(numbers, key=float), max(numbers, key=float))))
     )
-    return dict(sorted(reasons.items()))
+    hint = next((text for words, text in _TO_DO.items() if words in reason), "")
+    return reason.replace("..", " to ".join(ends), 1) + hint
 
 
 def _checks(verdicts: Sequence[Verdict], name: Literal["Ti", "Tt"]) -> list[TimeCheck | None]:

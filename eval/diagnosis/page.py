@@ -6,6 +6,7 @@ All but the curves of recorded and simulated outputs is made from `gap.json`.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
 from matplotlib.axes import Axes
@@ -18,6 +19,7 @@ from eval.diagnosis.words import (
     VERDICTS,
     Row,
     cause_words,
+    is_sure,
     listed,
     next_flights,
     outcome,
@@ -50,6 +52,7 @@ class Drawn(NamedTuple):
 
     name: str
     standing: str
+    sure: bool
     picture: Picture
 
 
@@ -212,6 +215,7 @@ def budget_page(document: Row, evidence: Evidence, created: str = "") -> Page:
             return None
 
     own, held = pictures.views(evidence)
+    named = document["verdict"]["effects"]
     shown = own if held is None else held
     parts = {
         "budget": drawn("the budget", budget_picture, document),
@@ -224,18 +228,19 @@ def budget_page(document: Row, evidence: Evidence, created: str = "") -> Page:
             drawn("the gap over a flight", pictures.flight_picture, shown),
         ],
         "drawn": [
-            Drawn(name, standing, picture)
+            Drawn(name, standing, name in named and is_sure(document, [name]), picture)
             for name, standing, sizes in shown_effects(document)
             if effect(name).applies(evidence.data.flights.signals)
             and (picture := drawn(name, drawing, effect(name), sizes, own.data.flights.signals))
         ],
     }
+    said = outcome(document)
     html = render(
         "budget.html.j2",
         header=header(document, created),
         document=document,
         cautions=(*document["quality"]["warnings"], *failed),
-        outcome=outcome(document),
+        outcome=said if is_sure(document, named) else replace(said, passed=None),
         word=VERDICTS[document["verdict"]["kind"]],
         budget_table=budget_table(document),
         sizes_table=sizes_table(document),
@@ -252,9 +257,13 @@ def shown_effects(document: Row) -> list[tuple[str, str, dict[str, Interval]]]:
     Where nothing is claimed though the gap is real, the best candidate.
     """
     verdict = document["verdict"]
-    standings = dict.fromkeys(verdict["effects"], "claimed")
-    standings |= dict.fromkeys(verdict["ambiguous_with"], "may be instead")
     rows = {name_of(row): row for row in document["effects"]}
+    standings = {
+        name: f"claimed, {percent(rows[name]['probability'])} probable"
+        for name in verdict["effects"]
+        if name in rows
+    }
+    standings |= dict.fromkeys(verdict["ambiguous_with"], "may be instead")
     if verdict["kind"] == "unknown" and rows:
         standings = {next(iter(rows)): "best candidate, not claimed"}
     found = [

@@ -19,6 +19,7 @@ from eval.report import style
 from eval.report.style import Picture, picture
 from narxcal.channels import symbol
 from narxcal.support.arrays import FloatArray
+from narxcal.support.moments import moment
 
 _CELL_W, _CELL_H, _LEFT = 0.82, 0.5, 0.75  # inches
 _DARK = 0.55  # of the map's range: beyond it letters are white
@@ -246,7 +247,7 @@ def event_picture(view: View) -> Picture | None:
     first = max(0, event.start - round(_LEAD_S / dt_s))
     last = max(event.stop + round(_TAIL_S / dt_s), first + round(_LEAST_S / dt_s))
     direction = "push" if event.label == PUSH else "pull"
-    what = f"the {direction} at {event.start * dt_s:.0f} s of {view.data.names[f]}"
+    what = f"the {direction} at {moment(event.start * dt_s, 0.0)} of {view.data.names[f]}"
     return _stacked(view, f, slice(first, min(last, end)), what)
 
 
@@ -264,7 +265,7 @@ def flight_picture(view: View) -> Picture:
     for axes in rows:
         style.dress(axes)
         axes.margins(x=0.0)
-    rows[-1].set_xlabel("time of the flight [s]")
+    style.clock(rows[-1], time_s, " of the flight")
     flight = view.data.names[f]
     return picture(
         figure,
@@ -288,7 +289,7 @@ def _stacked(view: View, f: int, rows: slice, what: str) -> Picture:
     for each in axes:
         style.dress(each)
         each.margins(x=0.0)
-    axes[-1].set_xlabel("time of the flight [s]")
+    style.clock(axes[-1], np.zeros(1), " of the flight")
     names = ", ".join(symbol(name) for name in signals.outputs)
     shown = "recorded, simulated" + (", simulated with the effect" if view.changed else "")
     caption = (
@@ -338,3 +339,4 @@ def _gap_strip(axes: Axes, view: View, place: tuple[int, int, slice], name: str)
             axes, time_s, real - view.after[f, rows, k], REPAIRED, lw=0.8, label="gap after"
         )
     axes.set_ylabel(f"Δ{style.with_unit(name)}")
+    style.ticks(axes)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any, Final
 
 from eval.outcome import Outcome
@@ -11,6 +11,7 @@ from eval.report.style import number
 from narxcal.channels import CHANNELS, symbol
 from narxcal.effects.library import effect, name_of
 from narxcal.effects.steady import SWITCHES, TakingEffect
+from narxcal.intervals import LEVEL
 
 NAMED: Final = {
     "build": "differences of build",
@@ -34,7 +35,10 @@ _SHAPES: Final = {
     "share": "for each degree that metal trails",
     **{name: f"with {symbol(name)}" for name in SWITCHES},
 }
-_LOSS: Final = "acceleration lost over the range of EGT"
+_MEANINGS: Final = {
+    TakingEffect.taken.name: "acceleration lost over the range of EGT",
+    "own_s": "the lag that the simulated channel has already",
+}
 _MOST_NAMED = 3
 Size = Mapping[str, Any]  # value, low, high and unit of one parameter
 Row = Mapping[str, Any]
@@ -72,7 +76,7 @@ def parameter_words(name: str) -> str:
         channel = name.removeprefix(f"{shape}_")
         if channel != name and channel in CHANNELS:
             return f"{symbol(channel)} {words}"
-    return _LOSS if name == TakingEffect.taken.name else name
+    return _MEANINGS.get(name, name)
 
 
 def is_nil(size: Size) -> bool:
@@ -113,7 +117,7 @@ def surest_words(row: Mapping[str, Any]) -> str:
             if len(nil) <= _MOST_NAMED
             else f"{len(nil)} others"
         )
-        texts.append(f"{names} not distinct from 0")
+        texts.append(f"{names} may as well be 0")
     return "; ".join(texts)
 
 
@@ -158,12 +162,13 @@ def sentences(document: Row) -> list[str]:
         found.append(f"Ambiguous: these flights do not separate {named} from {others}.")
     if (left := shares.get("unexplained")) is not None:
         share = percent(left["share"]) if left["share"] < 1.0 else "All"
-        found.append(f"{share} of the gap is left: nothing in the library explains it.")
+        share = "No part" if share == percent(0.0) else share
+        found.append(f"{share} of the gap is left over that no effect known to narxcal explains.")
     return found
 
 
 def _claim(name: str, row: Row, shares: Mapping[str, Row]) -> str:
-    text = f"{in_words(name)}, {surest_words(row)}"
+    text = f"{in_words(name)}, {percent(row['probability'])} probable, {surest_words(row)}"
     share = shares.get(name)
     if share is None:
         return f"{text[:1].upper()}{text[1:]}."
@@ -187,6 +192,11 @@ def outcome(document: Row) -> Outcome:
         rest.append(f"{text}.")
         rest += _events(shrink)
     return Outcome(document["verdict"]["kind"] != "unknown" or None, first, tuple(rest))
+
+
+def is_sure(document: Row, names: Collection[str]) -> bool:
+    """Whether each of these effects is as probable as an interval is."""
+    return all(row["probability"] >= LEVEL for row in document["effects"] if name_of(row) in names)
 
 
 def _events(shrink: Row) -> Iterator[str]:

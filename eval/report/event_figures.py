@@ -31,7 +31,7 @@ def large(view: LogView, one: AssessedEvent) -> Picture:
     """Draw the event as a qualification page does, every output with its own Ti/Tt windows."""
     figure = overlay_figure(view, one)
     symbols = ", ".join(symbol(name) for name in view.outputs)
-    place = f"{one.event.start_s:.1f} s of {one.event.log}"
+    place = f"{view.when(one.event)} of {one.event.log}"
     alt = f"Overlay of {symbols}, flight and model, {_direction(one)} at {place}"
     caption = (
         "Flight: the line without a colour; model in blue. Shaded: where the model may reach "
@@ -54,6 +54,7 @@ def overlay_figure(view: LogView, one: AssessedEvent) -> Figure:
         if curves.model is not None:
             lower.plot(time, curves.model - curves.measured, color=style.MODEL, lw=0.9)
         lower.set_ylabel(f"Δ{style.with_unit(curves.name)}")
+        style.ticks(lower)
     for each in axes:
         each.axvline(0.0, color="#57606a", lw=0.7, ls=":")
         style.over_time(each)
@@ -77,7 +78,7 @@ def draw_output(axes: Axes, time: FloatArray, curves: Curves, one: AssessedEvent
 def summary_figure(view: LogView, one: AssessedEvent) -> bytes:
     """One event as a PNG for a README: driver, overlay with Ti/Tt windows and residual."""
     figure = overlay_figure(view, one)
-    kind = f"{one.event.log}: {_direction(one)} at {one.event.start_s:.0f} s"
+    kind = f"{one.event.log}: {_direction(one)} at {view.when(one.event)}"
     figure.axes[0].set_title(kind, fontsize=9, loc="left", color="#24292f")
     buffer = io.BytesIO()
     FigureCanvasAgg(figure)
@@ -166,14 +167,16 @@ class _Axes:
 
 
 def panel(view: LogView, one: AssessedEvent) -> Picture:
-    """Draw the driver above and the first output below, with t10, t90 and their windows."""
+    """Draw the driver above, below the output that failed, else the first, with t10 and t90."""
     rows, t0_s = view.rows(one.event), one.event.start_s
     time, driver = view.log.time_s[rows] - t0_s, view.log[view.driver][rows]
     reach = (float(time[0]), max(float(time[-1]), float(time[0]) + 1e-9))
-    output = view.curves(rows)[0]
+    failed = {each.channel for each in one.assessments if each.verdict.ok is False}
+    curves = view.curves(rows)
+    output = next((each for each in curves if each.name in failed), curves[0])
     upper = _Axes(reach, _range([driver]), 6.0, 50.0)
-    curves = [part for part in (output.measured, output.model, output.steady) if part is not None]
-    lower = _Axes(reach, _range(curves), 60.0, 164.0)
+    known = [part for part in (output.measured, output.model, output.steady) if part is not None]
+    lower = _Axes(reach, _range(known), 60.0, 164.0)
     parts = [
         *_frame(upper, view.driver),
         _path(upper, time, driver, "drv"),
@@ -182,7 +185,7 @@ def panel(view: LogView, one: AssessedEvent) -> Picture:
         *_output(lower, time, output),
         *_time_axis(lower, upper),
     ]
-    alt = f"{one.move} at {t0_s:.1f} s: {symbol(view.driver)} and {symbol(output.name)}"
+    alt = f"{one.move} at {view.when(one.event)}: {symbol(view.driver)} and {symbol(output.name)}"
     head = (
         f'<svg class="panel" role="img" aria-label={quoteattr(alt)} '
         f'viewBox="0 0 {_WIDTH:g} {_HEIGHT:g}" xmlns="http://www.w3.org/2000/svg">'

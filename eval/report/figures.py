@@ -53,7 +53,7 @@ def overlay_figure(view: LogView, on: Figure | None = None) -> Figure:
         axes.set_xlabel("")
         if view.scored_from_s is not None:
             axes.axvline(view.scored_from_s, color=style.MEASURED, lw=0.9, ls=":")
-    rows[-1].set_xlabel("time [s]")
+    style.clock(rows[-1], view.log.time_s)
     return figure
 
 
@@ -76,6 +76,7 @@ def _deviation(axes: Axes, time: FloatArray, name: str, deviation: FloatArray) -
     style.shade_missing(axes, time, deviation)
     style.curve(axes, time, deviation, style.MODEL, lw=0.7)
     axes.set_ylabel(f"Δ{style.with_unit(name)}")
+    style.ticks(axes)
 
 
 def residual_tests(view: LogView) -> list[Picture]:
@@ -174,7 +175,8 @@ def _excerpt(axes: Axes, trial: WindowTrial) -> None:
             look = {"color": colours[window], "lw": _weight(window, trial)}
             label = _window(window, trial)
         axes.plot(trial.excerpt_time_s, values, label=label, **look)
-    axes.set(xlabel="time [s]", ylabel=style.with_unit(trial.excerpt_channel))
+    axes.set_ylabel(style.with_unit(trial.excerpt_channel))
+    style.clock(axes, trial.excerpt_time_s)
     axes.margins(x=0.0)
 
 
@@ -277,7 +279,7 @@ def segment(log: Log, event: Event, channels: Sequence[str], title: str) -> Pict
         part.axvline(0.0, color="#57606a", lw=0.7, ls=":")
         style.over_time(part, name)
     axes[-1].set_xlabel("time after the lever moved [s]")
-    place = f"{event.start_s:.1f} s of {log.name}"
+    place = f"{log.moment(event.start_s)} of {log.name}"
     return picture(figure, f"{title} at {place}", f"{title}, at {place}.")
 
 
@@ -289,7 +291,7 @@ def recorded_figure(log: Log, on: Figure | None = None) -> Figure:
         style.shade_missing(part, log.time_s, log[name])
         style.curve(part, log.time_s, log[name], style.MEASURED, lw=0.8)
         style.over_time(part, name)
-    axes[-1].set_xlabel(f"time [s] of {log.name}")
+    style.clock(axes[-1], log.time_s, f" of {log.name}")
     return figure
 
 
@@ -304,7 +306,7 @@ def free_runs(
     style.curve(upper, time_s, measured, style.MEASURED, lw=0.8)
     upper.set_ylabel(style.with_unit(channel))
     lower.set_ylabel(f"Δ{style.with_unit(channel)}")
-    lower.set_xlabel("time [s]")
+    style.clock(lower, time_s)
     for axes in (upper, lower):
         style.over_time(axes)
     style.legend(lower, columns=5)
@@ -341,8 +343,8 @@ def compared(found: Comparison) -> Picture:
                     style.curve(axes, time_s, values, colour, lw=1.1, ls=dashes, label=model)
             style.curve(axes, time_s, alone, style.MEASURED, lw=0.9, label="measured")
             style.over_time(axes, name)
-    for axes in grid[-1]:
-        axes.set_xlabel("time [s]")
+            if k == rows - 1:
+                style.clock(axes, one.time_s)
     style.legend(grid[0][0], columns=4, size=7.0)
     alt = f"{', '.join(map(symbol, one.channels))} of {one.name}, measured and in free run"
     caption = f"{one.name}: the whole log, and its largest move. Black: measured."
@@ -369,7 +371,7 @@ def fused(
     for colour, (name, values) in zip(colours, others, strict=False):
         axes.plot(time_s, values, color=colour, lw=1.0, label=name)
     axes.plot(time_s, truth[1], color=style.MEASURED, lw=1.0, ls="--", label=truth[0])
-    axes.set_xlabel("time [s]")
+    style.clock(axes, time_s)
     style.over_time(axes, channel)
     style.legend(axes, columns=5)
     return picture(figure, f"{symbol(channel)} with noise, fused and true", caption)

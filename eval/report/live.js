@@ -122,15 +122,46 @@ function shaded(plot, shades) {
   plot.ctx.restore();
 }
 
+/* 12:34.7; short without the zeros at its end. */
+function elapsed(seconds, decimals, short) {
+  const units = Math.round(Math.abs(seconds) * 10 ** decimals), whole = Math.floor(units / 10 ** decimals);
+  const hours = Math.floor(whole / 3600), minutes = Math.floor(whole / 60) % 60;
+  const two = value => String(value).padStart(2, "0");
+  let part = decimals ? "." + String(units % 10 ** decimals).padStart(decimals, "0") : "";
+  if (short) part = part.replace(/\.?0+$/, "");
+  return (seconds < 0 && units ? "-" : "") + (hours ? `${hours}:${two(minutes)}` : minutes)
+    + `:${two(whole % 60)}${part}`;
+}
+
+/* What a cursor says of a time: t+12:34.7, and the date and clock where the log has them. */
+function moment(chart, time, decimals) {
+  if (!chart.elapsed) return time.toFixed(decimals) + " s";
+  const text = "t+" + elapsed(time, decimals);
+  if (chart.began_s === null) return text;
+  const date = new Date(1000 * (chart.began_s + time)).toISOString();
+  return `${text} (${date.slice(0, 19).replace("T", " ")} UTC)`;
+}
+
+const CLOCK = [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300,
+  600, 900, 1800, 3600, 7200, 14400, 36000, 86400, 864000];
+
+/* Three numbers or more on an axis of values, however low it is. */
+function values(plot, _, low, high, step) {
+  while ((high - low) / step < 3) step /= 2;
+  const first = Math.ceil(low / step), last = Math.floor(high / step);
+  return Array.from({length: last - first + 1}, (_, k) => (first + k) * step);
+}
+
 function panel(view, one, last, parent) {
   const {chart} = view, lines = chart.lines.slice(...one.lines);
   const decimals = Math.max(0, Math.min(6, Math.ceil(-Math.log10(chart.dt_s))));
   const numbers = (plot, splits) => splits.map(value => String(+value.toPrecision(10)));
+  const times = chart.elapsed ? (_, splits) => splits.map(each => elapsed(each, 3, true)) : numbers;
   const value = line => (plot, _, column, at) => {
     if (at == null) return "";
     const first = view.size > 1 ? at - at % 2 : at, values = plot.data[column];
-    return [...new Set(values.slice(first, first + (view.size > 1 ? 2 : 1)))]
-      .map(each => each === null ? "–" : each.toFixed(Math.max(0, line.digits))).join(" to ");
+    return [...new Set(values.slice(first, first + (view.size > 1 ? 2 : 1))
+      .map(each => each === null ? "–" : each.toFixed(line.shown)))].join(" to ");
   };
   const font = "11px system-ui, sans-serif";
   const pen = {stroke: "#24292f", font, labelFont: font,
@@ -142,12 +173,13 @@ function panel(view, one, last, parent) {
       return low === null ? [0, 1] : [low - room, high + room];
     }}},
     axes: [
-      {...pen, size: last ? 24 : 0, values: last ? numbers : (_, splits) => splits.map(() => ""),
+      {...pen, size: last ? 24 : 0, values: last ? times : (_, splits) => splits.map(() => ""),
+        ...(chart.elapsed && {incrs: CLOCK}),
         ...(last && {label: chart.clock, labelSize: 18})},
-      {...pen, size: 52, space: 24, values: numbers, label: one.label, labelSize: 16},
+      {...pen, size: 52, space: 24, splits: values, values: numbers, label: one.label, labelSize: 16},
     ],
     series: [
-      {label: "time", value: (_, time) => time == null ? "" : time.toFixed(decimals) + " s"},
+      {label: "time", value: (_, time) => time == null ? "" : moment(chart, time, decimals)},
       ...lines.map(line => ({label: line.label, stroke: line.colour, width: line.width,
         dash: line.dash, points: {show: false}, pxAlign: 0, value: value(line)})),
     ],

@@ -33,6 +33,7 @@ from eval.report.figures import most_eventful
 from eval.report.view import Curves, LogView, stretch_s
 from narxcal.intervals import LEVEL
 from narxcal.support.arrays import FloatArray, spans
+from narxcal.support.moments import dated, elapsed
 from training.rules import time_bands
 from training.transients import AssessedEvent, Assessment
 
@@ -45,7 +46,7 @@ _LEAST: Final = 1e-9  # range of a curve that is shown to six digits
 _MISSING: Final = 0xFFFFFFFF
 _DASHES: Final[tuple[tuple[int, ...], ...]] = ((), (6, 4), (2, 3))
 _PIXELS: Final = 8000  # of a stretch of missing samples, over the whole chart
-_DRIVER_PX, _OUTPUT_PX, _DEVIATION_PX = 70, 160, 70
+_DRIVER_PX, _OUTPUT_PX, _DEVIATION_PX = 70, 160, 84
 
 
 class Line(NamedTuple):
@@ -88,12 +89,15 @@ class Panel:
 
 @dataclass(frozen=True, eq=False)
 class Chart:
-    """Panels over one uniform time axis (time,)."""
+    """Panels over one uniform time axis (time,).
+
+    With a `clock`, the axis is of seconds with that label; without, it is the time of a log.
+    """
 
     time_s: FloatArray
     panels: Sequence[Panel]
     marks: Sequence[Mark] = ()
-    clock: str = "time [s]"
+    clock: str = ""
 
 
 def of_log(view: LogView) -> Markup:
@@ -155,7 +159,8 @@ def _begin(event: Event) -> Shade:
 
 def _mark(time_s: FloatArray, event: Event, move: str, ok: bool | None) -> Mark:
     state = {True: "pass", False: "fail", None: ""}[ok]
-    return Mark(*stretch_s(time_s, event), f"{move}, {event.start_s:.1f} s", state)
+    after = elapsed(event.start_s - float(time_s[0]))
+    return Mark(*stretch_s(time_s, event), f"{move}, t+{after}", state)
 
 
 def _output(time_s: FloatArray, curves: Curves, shades: Sequence[Shade] = ()) -> Iterator[Panel]:
@@ -214,22 +219,26 @@ def _document(chart: Chart) -> dict[str, Any]:
     lines = [line for panel in chart.panels for line in panel.lines]
     steps = [_Step.of(line.values) for line in lines]
     ends = np.cumsum([len(panel.lines) for panel in chart.panels]).tolist()
+    began_s = 0.0 if chart.clock else float(time_s[0])
     return {
-        "start_s": float(time_s[0]),
+        "start_s": float(time_s[0]) - began_s,
+        "elapsed": not chart.clock,
+        "began_s": began_s if dated(began_s) else None,
         "dt_s": float(time_s[-1] - time_s[0]) / (rows - 1),
         "rows": rows,
-        "clock": chart.clock,
+        "clock": chart.clock or style.clock_label(began_s),
         "lines": [
             {"label": line.label, "colour": line.colour, "width": line.width, "dash": line.dash,
-             "digits": step.digits, "base": step.base}
+             "digits": step.digits, "shown": step.shown, "base": step.base}
             for line, step in zip(lines, steps, strict=True)
         ],
         "panels": [
-            {"label": panel.label, "height": panel.height_px, "shades": panel.shades,
+            {"label": panel.label, "height": panel.height_px,
+             "shades": [_after(shade, began_s) for shade in panel.shades],
              "band": panel.band, "lines": [end - len(panel.lines), end]}
             for panel, end in zip(chart.panels, ends, strict=True)
         ],
-        "marks": chart.marks,
+        "marks": [_after(mark, began_s) for mark in chart.marks],
         "pieces": [
             {"first": first, "rows": last - first, "size": size,
              "data": _packed([line.values[first:last] for line in lines], steps, size)}
@@ -238,11 +247,20 @@ def _document(chart: Chart) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def _after(stretch: Shade | Mark, began_s: float) -> Shade | Mark:
+    return stretch._replace(start_s=stretch.start_s - began_s, stop_s=stretch.stop_s - began_s)
+
+
 class _Step(NamedTuple):
     """A curve in whole numbers: value = (base + whole) / 10^digits."""
 
     digits: int
     base: int
+
+    @property
+    def shown(self) -> int:
+        """Decimals for a reader: to 1e-4 to 1e-3 of the range."""
+        return max(0, self.digits - 2)
 
     @classmethod
     def of(cls, values: FloatArray) -> _Step:

@@ -63,7 +63,8 @@ def compare(
             0.995, 0.97, text, transform=axes.transAxes, ha="right", va="top", fontsize=7,
             color="#57606a",
         )  # fmt: skip
-    axes.set(xlabel="time [s]", ylabel=style.with_unit(curves.name))
+    axes.set_ylabel(style.with_unit(curves.name))
+    style.clock(axes, found.time_s)
     return _finished(axes, ax)
 
 
@@ -256,7 +257,8 @@ def events(
         for one in (each.event for each in view.events):
             colour = style.BAD if one.label == 0 else style.MODEL
             axes.axvline(one.start_s, color=colour, lw=0.5, alpha=0.6)
-        axes.set(xlabel="time [s]", ylabel=style.with_unit(view.driver))
+        axes.set_ylabel(style.with_unit(view.driver))
+        style.clock(axes, view.log.time_s)
         return _finished(axes, ax)
     if not 0 <= event < len(view.events):
         raise DataError(

@@ -350,7 +350,8 @@ def _facts(guide: Guide, test: Test) -> list[tuple[str, str]]:
     met = {True: "as required", False: "NOT as required", None: "to be confirmed by the engineer"}
     lever = [unit_value(view.driver, each) for each in (event.lever_before, event.lever_after)]
     engine = f", engine {log.source.engine}" if log.source.engine else ""
-    span = f"{log.time_s[rows.start]:.2f} to {log.time_s[rows.stop - 1]:.2f} s of its time"
+    ends = float(log.time_s[rows.start]), float(log.time_s[rows.stop - 1])
+    span = log.moment(*ends, decimals=2)
     facts = {
         "Paragraph": f"{how.number} {how.title.lower()}; {guide.rules.source}",
         "Objective": f"Show that the simulated engine {moving} as the aeroplane's does.",
@@ -366,7 +367,7 @@ def _facts(guide: Guide, test: Test) -> list[tuple[str, str]]:
         f"movement and the last {reading.after_s:g} s, crossings {reading.reading}; "
         f"Ti {guide.rules.Ti}; Tt {guide.rules.Tt} of the flight's. {_marks(guide)}",
         "Validation data": f"{PurePath(log.source.file).name}{engine}, {span}, lever moves at "
-        f"{event.start_s:.3f} s; sha256 {log.source.sha256}",
+        f"{log.moment(event.start_s, decimals=2)}; sha256 {log.source.sha256}",
         "Data treatment": f"see Information; samples masked here: {_masked(test, rows)}",
         "Model, revision": f"sha256 {_sha(guide)}",
     }

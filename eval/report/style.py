@@ -22,12 +22,14 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.text import Text
+from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
 from narxcal.channels import described, symbol
 from narxcal.intervals import LEVEL
 from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.arrays import spans as runs_of
+from narxcal.support.moments import dated, elapsed, stamp
 
 NOTHING = "\N{EN DASH}"
 
@@ -157,6 +159,9 @@ MASK = "#d0d7de"
 TI, TT = GOOD, "#cc79a7"  # windows of the two times
 CYCLE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 _LEGEND_LINE = 0.18  # inches per line of a legend
+# Between two numbers of an axis over time, longest first where few are wanted.
+_STEPS_S = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 15.0, 30.0, 60.0, 120.0, 300.0, 600.0, 900.0,
+            1800.0, 3600.0, 7200.0, 14400.0, 36000.0)  # fmt: skip
 _INK, _GRID = "#24292f", "#e4e8ec"
 _UNITS = {"degC": "°C", "deg": "°", "-": "", "0/1": ""}
 
@@ -232,6 +237,47 @@ def over_time(axes: Axes, channel: str = "") -> None:
         axes.set_ylabel(with_unit(channel))
     dress(axes)
     axes.margins(x=0.0)
+
+
+def clock(axes: Axes, time_s: FloatArray, of: str = "") -> None:
+    """Label axes over the time (time,) of a log by minutes and seconds since it began.
+
+    `of` follows the label; where the log has dates it says at which it began.
+    """
+    began_s = float(time_s[0]) if len(time_s) else 0.0
+    axes.xaxis.set_major_locator(_Clock(began_s))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda at, _: _tick(at - began_s)))
+    axes.set_xlabel(clock_label(began_s, of))
+
+
+def clock_label(began_s: float, of: str = "") -> str:
+    """What an axis over the time of a log shows."""
+    return f"time{of} after {stamp(began_s) if dated(began_s) else 'its start'} [min:s]"
+
+
+def _tick(seconds: float) -> str:
+    return elapsed(seconds, 3).removesuffix("000").rstrip(".")
+
+
+class _Clock(MaxNLocator):
+    """Places whole minutes, or whole parts of minutes, after the log began."""
+
+    def __init__(self, began_s: float) -> None:
+        super().__init__(nbins=8, steps=[1, 2, 5, 10])
+        self._began_s = began_s
+
+    def tick_values(self, vmin: float, vmax: float) -> Any:
+        """Times between the two that are whole multiples of a step of the clock."""
+        low, high = vmin - self._began_s, vmax - self._began_s
+        step = next((one for one in _STEPS_S if high - low <= 9.0 * one), None)
+        if step is None:
+            return [at + self._began_s for at in super().tick_values(low, high)]
+        return step * np.arange(np.ceil(low / step), np.floor(high / step) + 1.0) + self._began_s
+
+
+def ticks(axes: Axes) -> None:
+    """At least three numbers on the axis of a low strip of values."""
+    axes.yaxis.set_major_locator(MaxNLocator(nbins=4, min_n_ticks=3))
 
 
 def legend(axes: Axes, columns: int = 4, size: float = 8.0) -> None:

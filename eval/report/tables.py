@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -14,7 +13,7 @@ import numpy as np
 import pandas as pd
 from markupsafe import escape
 
-from data_prep.log import Audit, AuditEntry, Source
+from data_prep.log import AuditEntry, Log, Source
 from eval.outcome import plural
 from eval.report.style import NOTHING, number, unit, with_unit
 from eval.report.view import LogView
@@ -171,16 +170,16 @@ def _coefficient(value: float, strong: float) -> Cell:
     return Cell(f"{value:+.3f}", mark, number=True, level=value)
 
 
-def audit(record: Audit, caption: str) -> Table:
+def audit(log: Log, caption: str) -> Table:
     """Everything that cleaning changed, per channel."""
     rows = []
-    for entry in _together(record.entries):
-        longest = "; ".join(f"{start:.1f} to {end:.1f}" for start, end in entry.spans_s[:6])
+    for entry in _together(log.audit.entries):
+        longest = "; ".join(log.moment(*span_s) for span_s in entry.spans_s[:6])
         more = f"; and {len(entry.spans_s) - 6} more" if len(entry.spans_s) > 6 else ""
         channel = "all channels" if entry.channel == "*" else entry.channel
         spans = longest + more or NOTHING
         rows.append(row(channel, entry.action, entry.reason, plain(f"{entry.samples:,}"), spans))
-    return Table(caption, ("channel", "what", "why", "samples", "longer spans [s]"), tuple(rows))
+    return Table(caption, ("channel", "what", "why", "samples", "longer spans"), tuple(rows))
 
 
 def _together(entries: Iterable[AuditEntry]) -> list[AuditEntry]:
@@ -314,7 +313,7 @@ def noise(sweep: NoiseSweep) -> Table:
 def transients(views: Sequence[LogView], *, assessable: bool) -> Table:
     """Ti and Tt of every event and channel that could be assessed, or of those that could not."""
     head = (
-        "start [s]", "move", "channel", "Ti flight [s]", "Ti model [s]", "ΔTi [s]", "allowed [s]",
+        "at", "move", "channel", "Ti flight [s]", "Ti model [s]", "ΔTi [s]", "allowed [s]",
         "Tt flight [s]", "Tt model [s]", "ΔTt [s]", "allowed [s]", "outcome",
     )  # fmt: skip
 
@@ -322,41 +321,31 @@ def transients(views: Sequence[LogView], *, assessable: bool) -> Table:
         for event in view.events:
             for one in event.assessments:
                 if (one.verdict.ok is not None) is assessable:
-                    yield _transient_row(event, one)
+                    yield _transient_row(view.when(event.event), event, one)
 
     caption = "Differences are model minus flight" if assessable else ""
     return Table(caption, head, by_log(views, own))
 
 
 def reasons(assessments: Sequence[Assessment]) -> Table:
-    """Why transients could not be assessed, the most frequent reason first.
-
-    Events of different lengths count together.
-    """
-    found: Counter[str] = Counter()
-    for reason, count in not_assessable(assessments).items():
-        found[re.sub(r"\.\. of \d+ samples", ".. samples", reason)] += count
-    rows = [cells(reason, count) for reason, count in found.most_common()]
+    """Why transients could not be assessed, the most frequent reason first."""
+    found = not_assessable(assessments, figures=True)
+    rows = [cells(reason, count) for reason, count in found.items()]
     return Table("", ("reason", "transients"), tuple(rows))
 
 
-def _seconds(time_s: float | None) -> str:
-    return "" if time_s is None else f"{time_s:.1f}"
-
-
 def findings(views: Sequence[LogView]) -> Table:
-    """What the logs show to be wrong; without times the whole of a log."""
+    """What the logs show to be wrong, and when."""
 
     def own(view: LogView) -> Iterator[Row]:
         for each in view.log.findings:
             yield row(
                 ", ".join(symbol(name) for name in each.channels), each.kind,
-                plain(_seconds(each.start_s)), plain(_seconds(each.end_s)),
-                plain(f"{each.probability:.3f}"),
+                each.when or "the whole log", plain(f"{each.probability:.3f}"),
                 f"{each.evidence}. {each.remedy}" if each.remedy else each.evidence,
             )  # fmt: skip
 
-    head = ("channel", "kind", "from [s]", "to [s]", "probability", "what")
+    head = ("channel", "kind", "when", "probability", "what")
     return Table("", head, by_log(views, own))
 
 
@@ -446,10 +435,10 @@ def move(event: AssessedEvent) -> str:
     return f"{event.move}, interrupted" if event.event.interrupted else event.move
 
 
-def _transient_row(event: AssessedEvent, one: Assessment) -> Row:
+def _transient_row(when: str, event: AssessedEvent, one: Assessment) -> Row:
     verdict, flight, model = one.verdict, one.flight, one.model
     return cells(
-        plain(f"{event.event.start_s:.1f}"),
+        when,
         move(event),
         symbol(one.channel),
         *_times(verdict.Ti, flight.Ti_s, model.Ti_s),

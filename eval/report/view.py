@@ -97,8 +97,14 @@ class LogView:
         return slice(max(0, event.start - round(LEAD_S / self.log.dt_s)), event.stop)
 
     def stretch_s(self, event: Event) -> tuple[float, float]:
-        """(start, stop) of `rows` on the log's clock."""
-        return stretch_s(self.log.time_s, event)
+        """(start, stop) of `rows` in seconds after the log began."""
+        began_s = float(self.log.time_s[0])
+        start_s, stop_s = stretch_s(self.log.time_s, event)
+        return start_s - began_s, stop_s - began_s
+
+    def when(self, event: Event) -> str:
+        """When the lever moves, for people."""
+        return self.log.moment(event.start_s)
 
     def conditions(self, event: Event) -> Mapping[str, float]:
         """Known ambient conditions and switches where an event begins."""

@@ -43,8 +43,8 @@ def run(options: Namespace, console: Console) -> int:
     )
     if document["metrics"] is None:
         console.say(
-            f"No figures in {options.bundle / 'evaluate'}. Write them by narxcal evaluate "
-            f"{options.bundle}; those of evaluate --out DIR are in DIR/evaluate.json"
+            f"{options.bundle / 'evaluate'} holds no evaluation of these weights: one that "
+            "evaluate --out DIR wrote is in DIR"
         )
     else:
         _show_metrics(console, document["metrics"], document["units"])

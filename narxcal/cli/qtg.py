@@ -105,9 +105,9 @@ def _cautions(bundle: Bundle, logs: Sequence[Log]) -> tuple[str, ...]:
 
 
 def _show(console: Console, guide: Guide) -> None:
-    rows = [[test.number, test.one.event.log, f"{test.one.event.start_s:.2f}", WORDS[test.result]]
+    rows = [[test.number, test.one.event.log, test.view.when(test.one.event), WORDS[test.result]]
             for test in guide.tests]  # fmt: skip
-    console.table(f"Tests by {guide.rules.source}", ["test", "log", "at [s]", "result"], rows)
+    console.table(f"Tests by {guide.rules.source}", ["test", "log", "at", "result"], rows)
     counts = ", ".join(f"{number} {word}" for word, number in guide.counts.items() if number)
     console.say(f"{counts}; {len(guide.left_out)} other events are listed in the guide")
     for text in guide.cautions:

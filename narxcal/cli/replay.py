@@ -51,7 +51,7 @@ def run(options: Namespace, console: Console) -> int:
     with console.progress("Replaying"):
         summary = replay(model, options.log, options.out, how)
     _show(console, summary)
-    console.say(interval_words(bundle.calibration.interval, options.interval))
+    console.say(f"Free run: {interval_words(bundle.calibration.interval, options.interval)}")
     console.say(f"Replayed: {options.out}")
     console.document({"schema": SCHEMA, "out": str(options.out), **summary.to_dict()})
     return 1 if summary.missed else 0

@@ -1,6 +1,7 @@
 """`narxcal card`: a page and a document of a tiny run, its limits kept, what is refused."""
 
 import json
+import re
 import shutil
 
 import numpy as np
@@ -61,6 +62,10 @@ def test_a_card_is_a_page_and_a_document(narxcal, project, limits, tmp_path, sou
         assert min(positions) >= 10.0 - 1e-9
         assert max(positions) <= 75.0 + 1e-9
         assert f">{number}<" in page.read_text("utf-8")
+    text = page.read_text("utf-8")
+    assert text.count("\N{BALLOT BOX}") == len(found["steps"])
+    assert re.search(r"<td[^>]*>\d+ °, 10 s</td>", text)  # a whole degree, and its unit
+    assert re.search(r"EGT \d+[05] °C to \d+[05] °C", text)
     assert sum(step["share"] for step in found["steps"]) == pytest.approx(1.0)
     assert all(row["after"] <= row["before"] * (1 + 1e-9) for row in found["expected"])
     assert found["information_nats"] > 0.0

@@ -223,8 +223,8 @@ def test_info_shows_the_last_evaluation_of_these_weights_only(project, narxcal, 
     shutil.copytree(project / "run", run, ignore=shutil.ignore_patterns("evaluate"))
     assert strict(narxcal("info", run, "--json").out)["metrics"] is None
     assert (
-        f"No figures in {run / 'evaluate'}. Write them by narxcal evaluate {run}; those of "
-        "evaluate --out DIR are in DIR/evaluate.json\n"
+        f"{run / 'evaluate'} holds no evaluation of these weights: one that evaluate --out DIR "
+        "wrote is in DIR\n"
     ) in narxcal("info", run).out
     done = narxcal("evaluate", run, "--json")
     metrics = strict(narxcal("info", run, "--json").out)["metrics"]
@@ -471,7 +471,7 @@ def test_replay_writes_prediction_fused_value_and_flags(project, narxcal, tmp_pa
     document, table = strict(done.out), pd.read_csv(out)
     assert document["schema"] == "narxcal.replay/1"
     assert document["rows"] == len(table)
-    assert {"N1_pct_prediction", "N1_pct_fused", "N1_pct_innovation"} <= set(table)
+    assert {"N1_pct_free_run", "N1_pct_fused", "N1_pct_innovation"} <= set(table)
     assert {"inside_envelope", "held", "gap"} <= set(table)
     assert (
         f"Replayed: {out}\n"

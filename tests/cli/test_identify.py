@@ -148,7 +148,7 @@ def test_every_command_takes_every_run(runs, narxcal, tmp_path, name):
     assert narxcal("simulate", run, log, "--out", tmp_path / "simulated.csv").code == 0
     replayed, simulated = (pd.read_csv(tmp_path / f"{w}.csv") for w in ("replayed", "simulated"))
     np.testing.assert_allclose(
-        replayed["N1_pct_prediction"], simulated["N1_pct"], rtol=1e-6, atol=1e-6
+        replayed["N1_pct_free_run"], simulated["N1_pct"], rtol=1e-6, atol=1e-6
     )
     done = narxcal("info", run, "--json")
     assert json.loads(done.out)["parameters"] == load_bundle(run).calibration.size

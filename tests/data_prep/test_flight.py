@@ -119,18 +119,18 @@ def test_a_flight_of_one_file_and_a_file_of_none_are_read_as_files(tmp_path):
     [
         (
             {"f1_1": recording(), "f1_2": recording().assign(N1_pct=50.0)},
-            r"channel N1_pct: it and f1_2.csv overlap from 10 to 59.875 s, and differ at 10 s. .*",
+            r"channel N1_pct: it and f1_2.csv overlap from 10 s to 59.875 s, and differ at 10 .*",
         ),
         (
             {"f1_1": recording(), "f1_2": recording(first_s=30.06)},
-            r"channel ALT_ft: it and f1_2.csv overlap from 30.06 to 59.875 s, and differ at 30.0.*",
+            r"channel ALT_ft: it and f1_2.csv overlap from 30.06 s to 59.875 s, and differ at 30.*",
         ),
         (
             {
                 "f1_1": recording()[["time_s", "N1_pct"]],
                 "f1_2": recording(first_s=900.0)[["time_s", "ALT_ft"]],
             },
-            r"channel time_s: it runs from 10 to 59.875 s and f1_2.csv from 900 to 949.875 s: .*",
+            r"channel time_s: it runs from 10 s to 59.875 s and f1_2.csv from 900 s to 949.875 .*",
         ),
     ],
 )

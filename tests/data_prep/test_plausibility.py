@@ -1,6 +1,8 @@
 """A log against physics: units, staircases, stuck air data, air data against each other."""
 
 import json
+import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -119,16 +121,21 @@ def test_update_interval_of_a_staircase_is_its_step(size):
     assert update_interval(held) == pytest.approx(size, rel=1e-9)
 
 
-def test_preparing_keeps_the_faults_and_adds_what_cleaning_masks():
+@pytest.mark.parametrize(("began_s", "date"), [(0.0, ""), (1741907464.0, " (2025-03-13 23:1")])
+def test_preparing_keeps_the_faults_and_adds_what_cleaning_masks(began_s, date):
     draw = np.random.default_rng(0)
     n2 = flight()["N2_pct"] + 0.05 * draw.standard_normal(ROWS)
     n2[1000:1200] = n2[1000]
-    [one] = prepare([flight(N2_pct=n2)])
+    log = flight(N2_pct=n2)
+    [one] = prepare([replace(log, time_s=began_s + log.time_s)])
     [fault] = [each for each in one.log.findings if each.channel == "N2_pct"]
     assert fault.kind == "stuck"
-    assert (fault.start_s, fault.end_s) == pytest.approx((500.0, 600.0), abs=1.0)
+    span_s = fault.start_s - began_s, fault.end_s - began_s
+    assert span_s == pytest.approx((500.0, 600.0), abs=1.0)
+    assert fault.origin_s == began_s
     assert Finding.from_row(json.loads(json.dumps(fault.row()))).caution == fault.caution
-    assert fault.caution.startswith("flight: N2_pct stuck, ")
+    assert re.match("flight: N2_pct stuck, t[+]8:[^ ]+ to t[+](9|10):[^ ]+", fault.caution)
+    assert date in fault.caution
 
 
 def without(log, *names):

@@ -99,7 +99,7 @@ def test_a_sheet_says_what_the_list_of_part_60_asks_for(events):
         "driven: TRA, Mach; constrained: none",
         "Ti ±10 % or 0.25 s; Tt ±10 % of the flight's",
         "Ti and Tt: unverified; check your edition",
-        "flight.csv:left, engine left, 16.90 to",
+        "flight.csv:left, engine left, t+0:16.90 to t+0:",
         "sha256 hash-of-flight.csv:left",
         f"Model, revision sha256 {SHA}",
         "Rationale",
@@ -255,13 +255,19 @@ def test_tests_are_chosen_titled_and_annotated_in_a_file(events, tmp_path):
         ("", "no [[test]] is listed. Write a first version by --write-tests"),
         (
             entry(3.0),
-            "no event of the log 'flight.csv:left' begins at 3 s. The nearest begins at 19.900 s",
+            (
+                "no event of the log 'flight.csv:left' begins at start_s = 3. "
+                "The nearest has start_s = 19.900"
+            ),
         ),
         (
             entry(19.9).replace("flight.csv:left", "fligt.csv:left"),
             "no event is of the log 'fligt.csv:left'. Did you mean 'flight.csv:left'?",
         ),
-        (entry(19.9) * 2, "the event at 19.9 s of 'flight.csv:left' is listed twice. Keep one"),
+        (
+            entry(19.9) * 2,
+            "the event start_s = 19.9 of 'flight.csv:left' is listed twice. Keep one",
+        ),
         (
             entry(19.9, number="1") + entry(39.9, number="1"),
             "two tests have the number '1'. Change one",

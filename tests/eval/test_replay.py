@@ -134,14 +134,19 @@ def test_prediction_and_fused_value_are_those_of_the_batch_without_a_shift(tmp_p
     fused = KalmanFuser(noise_model()).run(predicted, batch.matrix(FirstOrder.output_names))
     np.testing.assert_allclose(found["time_s"], batch.time_s, atol=1e-9)
     for i, name in enumerate(FirstOrder.output_names):
-        np.testing.assert_allclose(found[f"{name}_prediction"], predicted[:, i], rtol=1e-9)
+        np.testing.assert_allclose(found[f"{name}_free_run"], predicted[:, i], rtol=1e-9)
         np.testing.assert_allclose(found[f"{name}_fused"], fused.values[:, i], rtol=1e-9)
         np.testing.assert_allclose(
             found[f"{name}_innovation"], fused.innovations[:, i], rtol=1e-6, atol=1e-8
         )
+        half = 1.6448536 * np.sqrt(fused.variances[:, i])  # the normal distribution's 90 %
+        for way, end in ((-1.0, "low"), (1.0, "high")):
+            np.testing.assert_allclose(
+                found[f"{name}_fused_{end}"], fused.values[:, i] + way * half, rtol=1e-8
+            )
     # A lever step shows in the prediction at the very sample that has it.
     at = int(np.flatnonzero(np.diff(batch["TRA_deg"]) > 1.0)[0]) + 1
-    moved = np.abs(np.diff(found["N1_pct_prediction"]))
+    moved = np.abs(np.diff(found["N1_pct_free_run"]))
     assert moved[at - 1] > 5.0
     assert moved[at - 2] < 0.1
     assert summary.rows == len(batch) == 600
@@ -172,13 +177,15 @@ def test_the_interval_stands_around_the_prediction_in_any_pieces(tmp_path):
     replay(model, log, tmp_path / "out.csv", STORED.model_copy(update={"interval": 0.8}))
     found, _ = read(tmp_path / "out.csv")
     for name in FirstOrder.output_names:
-        middle = 0.5 * (found[f"{name}_low"] + found[f"{name}_high"])
-        np.testing.assert_allclose(middle, found[f"{name}_prediction"], rtol=1e-8)
-    blank = np.isnan(found["N1_pct_prediction"])
+        middle = 0.5 * (found[f"{name}_free_run_low"] + found[f"{name}_free_run_high"])
+        np.testing.assert_allclose(middle, found[f"{name}_free_run"], rtol=1e-8)
+        middle = 0.5 * (found[f"{name}_fused_low"] + found[f"{name}_fused_high"])
+        np.testing.assert_allclose(middle, found[f"{name}_fused"], rtol=1e-8)
+    blank = np.isnan(found["N1_pct_free_run"])
     assert blank.any()
-    np.testing.assert_array_equal(np.isnan(found["N1_pct_low"]), blank)
-    assert np.nanmax(found["N1_pct_high"] - found["N1_pct_low"]) > 20.0
-    assert "N1_pct_low" not in read(replayed_without(tmp_path, log))[0]
+    np.testing.assert_array_equal(np.isnan(found["N1_pct_free_run_low"]), blank)
+    assert np.nanmax(found["N1_pct_free_run_high"] - found["N1_pct_free_run_low"]) > 20.0
+    assert "N1_pct_free_run_low" not in read(replayed_without(tmp_path, log))[0]
 
 
 def replayed_without(folder, log):
@@ -196,7 +203,7 @@ def test_rows_between_raster_points_are_laid_on_the_model_raster_like_a_batch(tm
     found, _ = read(tmp_path / "out.csv")
     [batch] = read_logs(log, config)
     predicted = FirstOrder().simulate(batch.matrix(FirstOrder.input_names))
-    np.testing.assert_allclose(found["N1_pct_prediction"], predicted[:, 0], rtol=1e-6)
+    np.testing.assert_allclose(found["N1_pct_free_run"], predicted[:, 0], rtol=1e-6)
 
 
 def test_realtime_sample_by_sample_gives_the_same_rows_at_their_times(tmp_path):
@@ -252,13 +259,13 @@ def test_a_gap_restarts_the_model_settled_and_is_flagged_once(tmp_path):
     second = read_logs(log, config)[1]
     inputs = second.matrix(FirstOrder.input_names)
     np.testing.assert_allclose(
-        found["N1_pct_prediction"][250:], FirstOrder().simulate(inputs)[:, 0], rtol=1e-9
+        found["N1_pct_free_run"][250:], FirstOrder().simulate(inputs)[:, 0], rtol=1e-9
     )
     measured = second.matrix(FirstOrder.output_names)
     replay(model, log, tmp_path / "out.csv", STORED.model_copy(update={"start": "measured"}))
     found, _ = read(tmp_path / "out.csv")
     np.testing.assert_allclose(
-        found["N1_pct_prediction"][250:],
+        found["N1_pct_free_run"][250:],
         FirstOrder().simulate(inputs, measured[0])[:, 0],
         rtol=1e-9,
     )
@@ -274,7 +281,7 @@ def test_a_missing_input_is_held_up_to_the_limit_then_the_model_pauses(tmp_path)
     found, _ = read(tmp_path / "out.csv")
     assert np.flatnonzero(found["held"]).tolist() == [*range(100, 110), *range(300, 320)]
     assert np.flatnonzero(found["gap"]).tolist() == list(range(320, 351))
-    blank = np.isnan(found["N1_pct_prediction"])
+    blank = np.isnan(found["N1_pct_free_run"])
     assert np.flatnonzero(blank).tolist() == list(range(320, 350))
     np.testing.assert_array_equal(blank, np.isnan(found["N1_pct_fused"]))
     assert np.isnan(found["N2_pct_innovation"][400:]).all()
@@ -304,9 +311,9 @@ def test_a_faulty_output_is_not_fused_and_flagged(tmp_path):
     np.testing.assert_array_equal(found["N1_pct_valid"] == 0.0, rows)
     assert found["N2_pct_valid"].all()
     assert np.isnan(found["N1_pct_innovation"][rows]).all()
-    assert np.abs(found["N1_pct_fused"] - found["N1_pct_prediction"])[rows].max() < 3.0
+    assert np.abs(found["N1_pct_fused"] - found["N1_pct_free_run"])[rows].max() < 3.0
     assert summary.to_dict()["findings"] == [fault.row()]
-    assert summary.cautions[0] == "log.csv: N1_pct bias, 20 to 30 s: +40 %"
+    assert summary.cautions[0] == "log.csv: N1_pct bias, t+0:20.0 to t+0:30.0: +40 %"
 
 
 def test_a_faulty_input_is_held_and_then_pauses_the_model(tmp_path):
@@ -316,7 +323,7 @@ def test_a_faulty_input_is_held_and_then_pauses_the_model(tmp_path):
     found, _ = read(tmp_path / "out.csv")
     inside = (found["time_s"] >= 20.0) & (found["time_s"] <= 30.0)
     assert (found["N1_pct_valid"][inside] == 0.0).all()
-    assert np.isnan(found["N1_pct_prediction"][inside & (found["time_s"] > 22.5)]).all()
+    assert np.isnan(found["N1_pct_free_run"][inside & (found["time_s"] > 22.5)]).all()
     assert found["N1_pct_valid"][~inside].all()
 
 
@@ -325,7 +332,7 @@ def test_a_physically_impossible_value_is_not_fused(tmp_path):
     columns["N1_pct"] *= 160.0
     replay(MODEL, write(tmp_path / "log.csv", columns), tmp_path / "out.csv", STORED)
     found, _ = read(tmp_path / "out.csv")
-    np.testing.assert_allclose(found["N1_pct_fused"], found["N1_pct_prediction"])
+    np.testing.assert_allclose(found["N1_pct_fused"], found["N1_pct_free_run"])
     assert not found["N1_pct_valid"].any()
 
 
@@ -336,7 +343,9 @@ def test_an_output_the_log_lacks_is_predicted_and_not_fused(tmp_path):
     for options in (STORED, ReplayOptions()):
         summary = replay(MODEL, log, tmp_path / "out.csv", options)
         found, _ = read(tmp_path / "out.csv")
-        np.testing.assert_array_equal(found["N2_pct_fused"], found["N2_pct_prediction"])
+        np.testing.assert_array_equal(found["N2_pct_fused"], found["N2_pct_free_run"])
+        assert np.isfinite(found["N1_pct_fused_low"]).all()
+    assert np.isnan(found["N2_pct_fused_low"]).all()
     assert summary.unfused == {"": ("N2_pct",)}
 
 

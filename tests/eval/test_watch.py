@@ -3,6 +3,7 @@
 import json
 import re
 import sys
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -226,11 +227,13 @@ def test_what_cannot_be_judged_is_said(drawn, tmp_path):
     found = watch(rewritten(drawn(), tmp_path, less))
     assert found.remarks == (
         "4 of the listed batches are not evaluated yet: go on with narxcal fleet",
-        "nothing can be said of tails with fewer than 3 flights: T01 (1 flight)",
+        "nothing can be said of tails with fewer than 3 judged flights: T01 (1 flight)",
         "no engine has 3 flights with: offset, lag, Tt",
     )
     assert {one.key.quantity for one in found.effects} == {"Ti"}
     assert "T01" not in {one.key.tail for one in found.effects}
+    assert replace(found, alarms=()).outcome.passed is None  # not green
+    assert found.outcome.headline.endswith("; 1 tail cannot be judged")
 
 
 def test_a_fleet_of_single_flights_is_not_assessed(drawn, narxcal, tmp_path):

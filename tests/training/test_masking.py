@@ -90,5 +90,5 @@ def test_logs_that_are_all_at_fault_are_refused_with_the_first_reason(sound):
         learnable(Split(tuple(bad), (), ()), CONFIG)
     assert str(caught.value) == (
         "flight 1: no training log has a stretch with all inputs and an output. Masked is flight "
-        "1: Mach stuck, 0 to 1e+09 s: stays at 0"
+        "1: Mach stuck, t+0:00.0 to t+277777:46:40.0: stays at 0"
     )

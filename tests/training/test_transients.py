@@ -22,6 +22,7 @@ from training.transients import (
     TransientsConfig,
     assess_events,
     assessed,
+    not_assessable,
     tally,
 )
 
@@ -317,6 +318,33 @@ def test_interrupted_unsettled_small_and_masked_events_are_reported_not_passed()
     assert small[0].verdict.ok is None
     assert tally(small) == Tally(1, 0, 0, 0, 1, None, None, None, None)
     assert tally(small).passed_pct is None
+
+
+@pytest.mark.parametrize(
+    ("reasons", "shown"),
+    [
+        (["response 2 % is below 5 %"], {"response 2 % is below 5 %": 1}),
+        (
+            ["response 0.2 % is below 5 %", "response 4 % is below 5 %", "it drifts", "it drifts"],
+            {"it drifts": 2, "response 0.2 to 4 % is below 5 %": 2},
+        ),
+        (
+            [f"only {count} up to the move, 3 are needed" for count in ("1 sample", "2 samples")],
+            {
+                "only 1 to 2 samples up to the move, 3 are needed: "
+                "raise before_s of [evaluate.transients]": 2
+            },
+        ),
+        (
+            ["1 of 72 samples are missing", "5 of 79 samples are missing"],
+            {"1 to 5 samples are missing": 2},
+        ),
+    ],
+)
+def test_reasons_are_counted_with_the_range_of_their_figures(reasons, shown):
+    (one, *_) = assess(log(), log())
+    some = [replace(one, verdict=replace(one.verdict, ok=None, reason=text)) for text in reasons]
+    assert not_assessable(some, figures=True) == shown
 
 
 def test_rules_can_be_kept_to_rapid_movements():

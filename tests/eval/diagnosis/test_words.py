@@ -8,6 +8,7 @@ import pytest
 
 from eval.diagnosis.words import (
     in_words,
+    is_sure,
     listed,
     parameter_words,
     sentences,
@@ -60,10 +61,10 @@ def test_a_size_has_the_digits_of_its_interval(found, words):
 def test_sizes_that_may_be_nothing_are_only_named():
     sizes = {"a": size(1.0, 0.8, 1.2), "b": size(0.1, -0.1, 0.3)}
     row = {"id": "deterioration", "parameters": sizes}
-    assert surest_words(row) == "a 1.00 (0.80 to 1.20); b not distinct from 0"
+    assert surest_words(row) == "a 1.00 (0.80 to 1.20); b may as well be 0"
     assert sizes_words(row) == "a 1.00 (0.80 to 1.20); b 0.10 (-0.10 to 0.30)"
     row["parameters"] |= {f"c{k}": size(0.0, -1.0, 1.0) for k in range(3)}
-    assert surest_words(row).endswith("; 4 others not distinct from 0")
+    assert surest_words(row).endswith("; 4 others may as well be 0")
     del row["parameters"]["a"]
     assert surest_words(row) == sizes_words(row)
 
@@ -76,12 +77,28 @@ def test_a_size_at_which_it_does_nothing_is_left_out():
     assert surest_words(row) == "share 1.00 (0.90 to 1.10)"
 
 
-@pytest.mark.parametrize(("share", "said"), [(0.22, "22 %"), (1.21, "All")])
+@pytest.mark.parametrize(("share", "said"), [(0.22, "22 %"), (1.21, "All"), (0.004, "No part")])
 def test_what_is_left_is_at_most_all_of_the_gap(share, said):
     verdict = {"kind": "none", "effects": [], "reason": "noise", "ambiguous_with": []}
     left = {"cause": "unexplained", "share": share}
     found = sentences({"verdict": verdict, "effects": [], "budget": [left]})
-    assert found[-1] == f"{said} of the gap is left: nothing in the library explains it."
+    assert found[-1] == (
+        f"{said} of the gap is left over that no effect known to narxcal explains."
+    )
+
+
+def test_each_effect_that_is_named_bears_its_probability():
+    rows = [
+        {"id": name, "probability": probability, "parameters": {"tau_s": size(1.0, 0.8, 1.2)}}
+        for name, probability in (("deterioration", 0.993), ("unlogged_switch", 0.47))
+    ]
+    named = [row["id"] for row in rows]
+    verdict = {"kind": "effects", "effects": named, "reason": "", "ambiguous_with": []}
+    document = {"verdict": verdict, "effects": rows, "budget": []}
+    first, second = sentences(document)
+    assert "(deterioration), 99 % probable, tau_s 1.00" in first
+    assert "(unlogged_switch), 47 % probable, tau_s 1.00" in second
+    assert [is_sure(document, names) for names in (named, named[:1])] == [False, True]
 
 
 @pytest.mark.parametrize(
@@ -92,7 +109,7 @@ def test_what_is_left_is_at_most_all_of_the_gap(share, said):
         ("per_10K_FF_kgph", "FF per 10 K"),
         ("loss", "acceleration lost over the range of EGT"),
         ("tau_s", "tau_s"),
-        ("own_s", "own_s"),
+        ("own_s", "the lag that the simulated channel has already"),
     ],
 )
 def test_an_amplitude_is_named_in_words(name, words):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -50,27 +51,28 @@ def make_header() -> RunHeader:
     )
 
 
-def log_and_events(name: str = HOSTILE) -> tuple[Log, list[Event]]:
+def log_and_events(name: str = HOSTILE, began_s: float = 0.0) -> tuple[Log, list[Event]]:
     """60 s push, 60 s pull, and a nudge too small to assess, 20 s each way settled."""
     time = np.arange(900) * DT_S
     lever = np.where(time < 10, 30.0, np.where(time < 40, 70.0, np.where(time < 65, 30.0, 32.0)))
     flight = lagged(lever, 1.0)
     flight = np.where((time > 55) & (time < 57), np.nan, flight)
-    audit = Audit().add(AuditEntry("N1_pct", "masked", "frozen", 19, ((55.1, 56.9),)))
+    masked = ((began_s + 55.1, began_s + 56.9),)
+    audit = Audit().add(AuditEntry("N1_pct", "masked", "frozen", 19, masked))
     channels = {"TRA_deg": lever, "N1_pct": flight, "ALT_ft": np.full(900, 5000.0)}
-    log = Log(name, time, channels, audit, Source(file=name))
+    log = Log(name, began_s + time, channels, audit, Source(file=name))
     events = [
         Event(name, 99, 300, 0, "fast", 9.9, 30.0, 70.0, settled=True, interrupted=False),
         Event(name, 399, 540, 1, "fast", 39.9, 70.0, 30.0, settled=True, interrupted=False),
         Event(name, 649, 850, 0, "small", 64.9, 30.0, 32.0, settled=True, interrupted=False),
     ]
-    return log, events
+    return log, [replace(each, start_s=began_s + each.start_s) for each in events]
 
 
 def model_of(log: Log) -> np.ndarray:
     """Right in the push; twice as slow in the pull."""
     lever = log["TRA_deg"]
-    model = np.where(log.time_s < 39.0, lagged(lever, 1.0), lagged(lever, 2.0))
+    model = np.where(log.time_s - log.time_s[0] < 39.0, lagged(lever, 1.0), lagged(lever, 2.0))
     return model[:, None]
 
 
@@ -81,8 +83,10 @@ def make_score(**changed: float) -> ChannelScores:
     return ChannelScores(**figures | changed)
 
 
-def make_evaluation(name: str = HOSTILE, trim: Trim | None = None) -> LogEvaluation:
-    log, events = log_and_events(name)
+def make_evaluation(
+    name: str = HOSTILE, trim: Trim | None = None, began_s: float = 0.0
+) -> LogEvaluation:
+    log, events = log_and_events(name, began_s)
     model, rows = model_of(log), np.ones(len(log), dtype=bool)
     measured = log.matrix(["N1_pct"])
     run = FreeRun(

@@ -131,7 +131,7 @@ def test_what_could_not_be_assessed_is_folded_away_and_counted_by_reason(evaluat
     first, reasons, folded = re.split(r"<h3>Not assessable</h3>|<details>", times)
     assert "not assessable" not in first
     assert first.count("✓ pass") + first.count("✗ fail") == 2
-    assert "response .. % is below 5 %" in reasons
+    assert "response 2 % is below 5 %" in reasons
     assert "1 transient that could not be assessed" in folded
     assert "response 2 % is below 5 %" in folded
     cards = evaluation[evaluation.index('<div class="card none">') - 200 :]
@@ -141,10 +141,11 @@ def test_what_could_not_be_assessed_is_folded_away_and_counted_by_reason(evaluat
 def test_equal_repairs_of_a_channel_stand_in_one_row():
     entry = AuditEntry("N1_pct", "repaired", "spiking", 2, ((1.0, 2.0),))
     other = replace(entry, channel="N2_pct", samples=5, spans_s=())
-    rows = tables.audit(Audit((entry, other, entry)), "").rows
+    log = Log("a.csv", np.arange(2.0), {}, Audit((entry, other, entry)))
+    rows = tables.audit(log, "").rows
     shown = [[cell.text for cell in row] for row in rows]
     assert shown == [
-        ["N1_pct", "repaired", "spiking", "4", "1.0 to 2.0; 1.0 to 2.0"],
+        ["N1_pct", "repaired", "spiking", "4", "; ".join(["t+0:01.0 to t+0:02.0"] * 2)],
         ["N2_pct", "repaired", "spiking", "5", "–"],  # noqa: RUF001 - the dash of the page
     ]
 
@@ -203,8 +204,21 @@ def test_failed_events_are_shown_large_before_passed_ones(view):
 
 
 def test_trim_audit_hashes_and_configuration_are_on_the_page(evaluation):
-    for text in ("-0.4", "scored from 5 s on", "frozen", "55.1 to 56.9", "ab" * 32, "hidden = 8"):
+    for text in ("-0.4", "scored from t+0:05.0 on", "frozen", "t+0:55.1 to t+0:56.9", "ab" * 32,
+                 "hidden = 8"):  # fmt: skip
         assert text in evaluation
+
+
+def test_times_of_a_log_with_dates_are_elapsed_with_date_and_clock(header, view, evaluated):
+    made = view(one=evaluated(began_s=1741907464.7))
+    page = evaluate_page(header, [made], Outcome(passed=None, headline="h"))
+    assert "Fast pull at t+0:39.9 (2025-03-13 23:11:44 UTC)" in page
+    assert "fast pull, t+0:39.9" in page  # of the list that leads to events
+    assert "t+0:55.1 to t+0:56.9 (2025-03-13 23:11:59 to 23:12:01 UTC)" in page
+    assert "time after 2025-03-13 23:11:04.7 UTC [min:s]" in page
+    assert '<a class="at" href="#overlay-1" data-show="6.9' in page
+    seconds = re.findall(r"\b17419\d{5}", page)
+    assert seconds == ["1741907464"]  # for the script, once
 
 
 def test_a_log_without_events_or_residuals_or_audit_still_makes_a_page(view, sound_page):
