@@ -82,7 +82,7 @@ def lag_bundle(tau_s=TAU_S, train=(), **sections):
         "identities": [identity(log) for log in train],
         "baselines": fit_baselines(calibration, logs),
         # The engine is exact and has no noise.
-        "held_out": {"logs": ["a", "b"], "fitted": False, "rmse": {"N1_pct": [0, 0], "N2_pct": [0, 0]}},
+        "held_out": {"logs": ["a"], "fitted": False, "rmse": {key: [0.0] for key in OUTPUTS}},
     })  # fmt: skip
     return Bundle(calibration, record)
 
