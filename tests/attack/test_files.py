@@ -7,9 +7,13 @@ import pytest
 
 from data_prep.binary_source import open_binary
 from data_prep.workbook import sheet_text
-from narxcal.support.errors import DataError
+from eval import fleet
+from narxcal.support.addresses import Folder
+from narxcal.support.errors import ConfigError, DataError
 
 h5py = pytest.importorskip("h5py")
+pa = pytest.importorskip("pyarrow")
+parquet = pytest.importorskip("pyarrow.parquet")
 pytest.importorskip("python_calamine")
 
 _OFFICE = "http://schemas.openxmlformats.org/"
@@ -86,3 +90,63 @@ def test_a_complex_column_is_no_column_of_numbers(tmp_path):
     with h5py.File(tmp_path / "log.h5", "w") as file:
         file["N1"], file["time"] = np.full(9, 1j), np.arange(9.0)
     assert open_binary(tmp_path / "log.h5", "").header == ("time",)
+
+
+ROW = {"tail": "N1", "batch": 0, "file": "N1/a.csv", "size": 9, "sha256": "", "engine": ""}
+
+
+def list_of(folder, row, **columns):
+    """A work list of one row in a folder; `columns` change types."""
+    kinds = {"batch": pa.int64(), "size": pa.int64(), **columns}
+    schema = pa.schema([(name, kinds.get(name, pa.string())) for name in row])
+    parquet.write_table(pa.Table.from_pylist([row], schema), folder / fleet.WORK_LIST)
+
+
+@pytest.mark.parametrize(
+    ("row", "columns", "problem"),
+    [
+        ({"file": "../secret.csv"}, {}, "expected a tail and a file below the folder of flights, "),
+        ({"file": "/etc/passwd"}, {}, "expected a tail and a file below the folder of flights, "),
+        ({"file": "C:/secret.csv"}, {}, "expected a tail and a file below the folder of flights, "),
+        ({"tail": ""}, {}, "expected a tail and a file below the folder of flights, "),
+        ({"size": None}, {}, "its size is missing. "),
+        ({"tail": None}, {}, "its tail is missing. "),
+        ({"batch": -1}, {}, "expected a batch and a size of at least 0. "),
+        ({}, {"batch": pa.string()}, "expected a column of int64, found string. "),
+        ({"engine": 1}, {"engine": pa.int64()}, "expected a column of string, found int64. "),
+    ],
+)
+def test_a_planted_work_list_is_refused(tmp_path, row, columns, problem):
+    planted = ROW | row
+    if columns.get("batch"):
+        planted["batch"] = "0"
+    list_of(tmp_path, planted, **columns)
+    with pytest.raises(DataError) as error:
+        fleet.read_table(Folder(str(tmp_path)), fleet.WORK_LIST)
+    assert problem in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["{", "[]", '{"schema": "narxcal.fleet-dataset/1", "runs": 1, "versions": {}}', "[" * 9999],
+)
+def test_a_damaged_document_of_a_dataset_is_refused(tmp_path, text):
+    (tmp_path / fleet.DOCUMENT).write_text(text)
+    with pytest.raises(DataError, match=r"fleet\.json"):
+        fleet.read_document(Folder(str(tmp_path)))
+
+
+@pytest.mark.parametrize(
+    "address", ["ftp://127.0.0.1/x", "http://127.0.0.1/x", "simplecache::s3://x"]
+)
+def test_other_addresses_are_refused_before_anything_connects(address):
+    with pytest.raises(ConfigError, match="expected a path or an address of abfs, az, gcs, "):
+        Folder(address).has("x")
+
+
+def test_a_pattern_that_searches_for_ever_is_ended(monkeypatch):
+    monkeypatch.setattr(fleet, "_SEARCH_S", 1.0)
+    config = fleet.FleetConfig(flights="flights", run="run", tail="(a+)+b")
+    with pytest.raises(ConfigError, match=r"tail = '\(a\+\)\+b' finds nothing within 1 s"):
+        config.tails_of(["a" * 64])
+    assert config.tails_of(["aab"]) == {"aab": "aa"}
