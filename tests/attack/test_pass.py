@@ -88,7 +88,7 @@ def bundle_with(**parts):
     bundle = ENGINE.lag_bundle(train=[ENGINE.lag_log("train.csv", offset=(-2.0, 1.5))])
     errors = {"N1_pct": [0.02, 0.04, 0.06], "N2_pct": [0.02, 0.04, 0.06]}
     held = {"logs": ["a", "b", "c"], "fitted": False, "rmse": errors}
-    return type(bundle)(bundle.calibration, bundle.record.having(held_out=held, **parts))
+    return type(bundle)(bundle.calibration, bundle.record.having(**{"held_out": held} | parts))
 
 
 @pytest.fixture
