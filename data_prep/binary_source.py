@@ -38,6 +38,9 @@ _MDF = b"MDF     "
 _GROUP_ROWS = 100_000  # of a Parquet file, written at a time
 _SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _WHOLE = 1e-6  # by which a ratio of rates may differ from a whole number
+# Bytes of arrays by byte of an HDF5 file, the most that deflate packs into one, and what any may
+# have: arrays that were never written take no byte of it.
+_SMALLEST, _UNSTORED = 1032, 1 << 26
 _TABLES = ("", "_dev", "_test")  # endings of a table whose names are in `_var`
 
 
@@ -221,9 +224,25 @@ def _hdf5(path: Path) -> dict[str, Any]:
             hint="Install it with: pip install 'narxcal[hdf5]'",
         ) from None
 
+    left = _UNSTORED + _SMALLEST * path.stat().st_size
+
     def tree(item: Any) -> Any:
+        nonlocal left
         if isinstance(item, h5py.Group):
-            return {name: tree(each) for name, each in item.items() if not name.startswith("#")}
+            names = [name for name in item if not name.startswith("#")]
+            for name in names:
+                if isinstance(item.get(name, getlink=True), h5py.ExternalLink):
+                    raise _elsewhere(path, name)
+            return {name: tree(item[name]) for name in names}
+        if item.external or item.is_virtual:
+            raise _elsewhere(path, item.name)
+        left -= item.nbytes
+        if left < 0:
+            raise DataError(
+                f"its {path.stat().st_size} bytes say that they hold arrays of more than "
+                f"{_UNSTORED + _SMALLEST * path.stat().st_size} bytes",
+                file=path, channel=item.name, hint="Write the samples that were recorded",
+            )  # fmt: skip
         values = item[()]
         if item.attrs.get("MATLAB_class") == b"char":
             return "".join(map(chr, np.ravel(values)))
@@ -235,6 +254,12 @@ def _hdf5(path: Path) -> dict[str, Any]:
     with h5py.File(path, "r") as file:
         found: dict[str, Any] = tree(file)
     return found
+
+
+def _elsewhere(path: Path, name: str) -> DataError:
+    return DataError(
+        "its samples are in another file", file=path, channel=name, hint="Copy them into this one"
+    )
 
 
 def _found(tree: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, _Column]]:
@@ -262,7 +287,7 @@ def _table(tree: Mapping[str, Any], name: str, values: Any) -> Iterator[tuple[st
     stems = [name.removesuffix(end) for end in _TABLES if name.endswith(end)]
     known = next((tree[f"{stem}_var"] for stem in stems if f"{stem}_var" in tree), None)
     names = [] if known is None else [_text(each) for each in np.ravel(known)]
-    if len(names) == values.shape[1] and np.issubdtype(values.dtype, np.number):
+    if len(names) == values.shape[1] and _real(values):
         for each, column in zip(names, values.T, strict=True):
             yield each, _Column(np.asarray(column, dtype=np.float64))
 
@@ -270,10 +295,16 @@ def _table(tree: Mapping[str, Any], name: str, values: Any) -> Iterator[tuple[st
 def _vector(item: Any) -> FloatArray | None:
     """An array of numbers along one axis, as `(samples,)`; None for anything else."""
     values = np.asarray(item)
-    numeric = np.issubdtype(values.dtype, np.number) or values.dtype == np.bool_
-    if not numeric or values.ndim == 0 or max(values.shape) < values.size or not values.size:
+    if not _real(values) or values.ndim == 0 or max(values.shape) < values.size or not values.size:
         return None
     return np.asarray(values.ravel(), dtype=np.float64)
+
+
+def _real(values: Any) -> bool:
+    """Whether an array is of numbers with one part."""
+    return values.dtype == np.bool_ or bool(
+        np.issubdtype(values.dtype, np.number) and not np.iscomplexobj(values)
+    )
 
 
 def _text(item: Any) -> str:

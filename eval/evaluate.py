@@ -7,7 +7,7 @@ code show it.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final
@@ -23,7 +23,7 @@ from eval.run_logs import EvaluateConfig, run_config
 from eval.scores import ChannelScores, score
 from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.certificate import Certificate, certificate_of
-from narxcal.channels import symbol
+from narxcal.channels import described, symbol
 from narxcal.steady.model import Envelope, SteadyStateModel
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import finite
@@ -90,6 +90,9 @@ class Evaluation:
         """What a verdict needs and these logs do not give."""
         return [
             *self._trained_on(),
+            *self._unknown_errors(),
+            *self._copied(),
+            *self._loose_bounds(),
             *self._contradictions(),
             *self._not_judged(),
             *self._too_few_events(),
@@ -101,6 +104,50 @@ class Evaluation:
             for one in self.logs
             if one.role in {"train", "validate"}
         ]
+
+    def _unknown_errors(self) -> list[str]:
+        """Outputs of which the run does not say how large an error is usual."""
+        checks = [each for one in self.logs for each in one.errors]
+        unknown = dict.fromkeys(symbol(each.channel) for each in checks if each.usual is None)
+        why = "the run has no record of errors on held-out logs: train it anew"
+        return [f"{', '.join(unknown)}: {why}"] if unknown else []
+
+    def _copied(self) -> list[str]:
+        """Outputs that a sensor with noise cannot have measured."""
+        return [
+            f"{one.log.name}: {symbol(each.channel)} is no measurement: RMSE {each.rmse:.3g} "
+            f"{described(each.channel).unit}, its noise alone leaves more ({each.least:.3g} is the "
+            f"least of {each.logs} held-out training logs)"
+            for one in self.logs
+            for each in one.errors
+            if each.copied
+        ]
+
+    def _loose_bounds(self) -> list[str]:
+        """Bounds that the steady-state model alone would meet."""
+        texts = [
+            f"largest_rmse.{name} = {bound:g} is no bound: the steady state alone has RMSE "
+            f"{self.pooled[name].steady_state_rmse:.3g}"
+            for name, bound in self.config.largest_rmse.items()
+            if name in self.pooled and bound >= self.pooled[name].steady_state_rmse
+        ]
+        static = [one.baselines[STEADY_STATE] for one in self.logs if STEADY_STATE in one.baselines]
+        assessed, least = sum(each.assessed for each in static), self.config.least_passed_pct
+        share = 100.0 * sum(each.passed for each in static) / max(assessed, 1)
+        if "least_passed_pct" in self.bounds and 0.0 < least <= share:
+            texts.append(
+                f"least_passed_pct = {least:g} is no bound: of the steady state alone {share:.1f} "
+                "% pass"
+            )
+        return texts
+
+    @property
+    def bounds(self) -> dict[str, tuple[Any, Any]]:
+        """Settings of [evaluate] that differ from their defaults: name -> value, default."""
+        own, default = (_flat(one.model_dump(mode="json")) for one in (self.config, _DEFAULT))
+        names = [name for name in {**default, **own} if not name.startswith("crossval.")]
+        pairs = {name: (own.get(name), default.get(name)) for name in names}
+        return {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}
 
     def _contradictions(self) -> list[str]:
         return [text for one in self.logs for text in contradictions(one.log, one.run.channels)]
@@ -227,7 +274,11 @@ class Evaluation:
         failed, lacking, found = self.failed(), self.lacking(), self.tally
         passed = False if failed else None if lacking else True
         baselines = tuple(_against_baselines(one) for one in self.logs)
-        lines = tuple(f"{text.rstrip('.')}." for text in (*failed, *lacking))
+        set_here = [
+            f"{name} = {own} (default {usual})" for name, (own, usual) in self.bounds.items()
+        ]
+        bounds = [f"Set in [evaluate]: {', '.join(set_here)}"] if set_here else []
+        lines = tuple(f"{text.rstrip('.')}." for text in (*failed, *lacking, *bounds))
         if not found.assessed:
             headline = "No event could be assessed for Ti and Tt"
             return Outcome(passed, headline, (*lines, *baselines))
@@ -273,6 +324,10 @@ class Evaluation:
                 "ok": not missed,
                 "missed": missed,
                 "least_passed_pct": self.config.least_passed_pct,
+                "bounds": {
+                    name: {"value": own, "default": usual}
+                    for name, (own, usual) in self.bounds.items()
+                },
                 "evidence": {
                     "new_logs": sum(one.role in {NEW, "test"} for one in self.logs),
                     "least_events": self.config.least_events,
@@ -299,6 +354,16 @@ class Evaluation:
         return found
 
 
+def _flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Keys of nested tables joined by dots."""
+    found: dict[str, Any] = {}
+    for name, value in table.items():
+        key = f"{prefix}{name}"
+        found |= _flat(value, f"{key}.") if isinstance(value, dict) else {key: value}
+    return found
+
+
+_DEFAULT: Final = EvaluateConfig()
 _MODELS: Final = {
     NETWORK: "lags with the network",
     "lags": "lags alone",

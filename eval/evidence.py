@@ -7,7 +7,7 @@ A PASS is a statement about flights to come. It takes, besides transients within
 | new logs | none of them holds samples that the model was trained on or stopped by |
 | judged share | `least_judged_pct` of each output of each log: what cleaning, faults and gaps of inputs leave |
 | events | `least_events` pushes and as many pulls, assessed in each channel that the rules judge |
-| error | RMSE within what held-out training logs allow |
+| error | RMSE within what held-out training logs allow, and no less than a tenth of the least of them |
 | findings | nothing that contradicts the training logs for certain |
 
 Of models of which half of the transients pass, 1.6 % pass 3 pushes and 3 pulls of 3 and 3; 2 and 2
@@ -21,6 +21,9 @@ With x_1 .. x_n the ln RMSE of n held-out training logs, that of another one is 
 for m outputs. s_0 = 0.35 is the scatter of ln RMSE between logs of one model, which counts as p = 3
 logs (0.18 to 0.36 over the held-out logs of `make demo` and of the two Citation flights). Errors of
 logs that the model was fitted to are too small: they count twice where there are no others.
+
+The errors on held-out logs hold the noise of the sensors. A tenth of the least of them is ln 10 / s_0 =
+6.6 scatters away: no model earns that, but its own output in the place of a measurement does.
 """  # noqa: E501 -- a table
 
 from __future__ import annotations
@@ -48,6 +51,7 @@ if TYPE_CHECKING:
 
 BLANK: Final = "blank"  # why `data_prep.grid` filled a sample: no row held it
 _SCATTER, _PRIOR_LOGS, _FALSE_ALARMS = 0.35, 3.0, 0.05
+_COPIED: Final = 0.1  # of the least known error: no error of a measurement
 _FITTED: Final = 2.0  # times the error on logs that the model was fitted to
 _RESOLUTION: Final = 1e-3  # of the largest value: smaller errors are those of a recorder
 _DIRECTIONS: Final = ("push", "pull")
@@ -58,7 +62,8 @@ _CONFIDENCE: Final = 0.9
 class ErrorCheck:
     """RMSE of one output over one log, and the largest that `logs` held-out logs allow.
 
-    `allowed` is None where the run stores no errors. `fitted` says that those logs were fitted to.
+    `allowed` is None where the run stores no errors. `fitted` says that those logs were fitted to,
+    `least` is the smallest of their errors.
     """
 
     channel: str
@@ -67,6 +72,12 @@ class ErrorCheck:
     allowed: float | None
     logs: int
     fitted: bool
+    least: float = 0.0
+
+    @property
+    def copied(self) -> bool:
+        """Whether the error is too small for a measurement with the noise of its sensor."""
+        return self.rmse < _COPIED * self.least
 
     @property
     def ok(self) -> bool | None:
@@ -96,7 +107,8 @@ def error_checks(record: RunRecord, run: FreeRun, rmse: Mapping[str, float]) -> 
         usual, allowed = _allowed(known, len(rmse), floor)
         if fitted and usual is not None and allowed is not None:
             allowed = max(_FITTED * allowed, floor)
-        found.append(ErrorCheck(name, error, usual, allowed, len(known), fitted))
+        least = min(known, default=0.0)
+        found.append(ErrorCheck(name, error, usual, allowed, len(known), fitted, least))
     return found
 
 

@@ -15,19 +15,22 @@ from __future__ import annotations
 import io
 import json
 import re
+import subprocess
+import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache, partial
 from itertools import groupby
-from pathlib import Path
+from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any, Final, Literal, NamedTuple
 from urllib.parse import quote
 
 from pydantic import Field, field_validator
 
 from data_prep.binary_source import arrow
-from eval.fleet_rows import DUPLICATE, FAILED, TABLES, Row, as_tables, not_evaluated, rows_of
+from eval.fleet_rows import DUPLICATE, FAILED, GOOD, TABLES, Row, as_tables, not_evaluated, rows_of
 from eval.log_evaluation import assess_log
 from eval.run_logs import EvaluateConfig, evaluation_logs, run_config
 from narxcal.calibration.bundle import Bundle, load_bundle
@@ -46,6 +49,13 @@ _LIST_COLUMNS = {
     "engine": "string",
 }  # fmt: skip
 _TAIL = "{tail}"
+_SEARCH_S = 20.0  # 100,000 names take 0.2 s
+_SEARCH = """
+import json, re, sys
+pattern, names = json.load(sys.stdin)
+found = [re.search(pattern, name) for name in names]
+print(json.dumps([match[1] if match else None for match in found]))
+"""
 _STORE_EVERY_S = 60.0  # what a killed listing may lose; 100,000 rows are written in 1 s
 
 
@@ -77,16 +87,28 @@ class FleetConfig(Section):
             raise ValueError("expected a regular expression with a group: the tail")
         return text
 
-    def tail_of(self, file: str) -> str:
-        """Tail of a file; raises `DataError` where the pattern does not match."""
-        found = re.search(self.tail, file)
-        if found is None or not found[1]:
-            raise DataError(
-                f"its name does not match tail = '{self.tail}'",
-                file=file,
-                hint="Correct the latter",
-            )
-        return found[1]
+    def tails_of(self, files: Sequence[str]) -> dict[str, str]:
+        """File -> tail; raises `DataError` where the pattern does not match.
+
+        A pattern may search for longer than anybody waits, and only another process can be ended.
+        """
+        asked = json.dumps([self.tail, list(files)])
+        try:
+            done = subprocess.run(  # noqa: S603 -- this interpreter, with a text of ours
+                [sys.executable, "-I", "-c", _SEARCH], input=asked, capture_output=True, text=True,
+                timeout=_SEARCH_S, check=True,
+            )  # fmt: skip
+        except (subprocess.SubprocessError, OSError):
+            raise ConfigError(
+                f"tail = '{self.tail}' finds nothing within {_SEARCH_S:g} s",
+                hint="Repeat nothing that is repeated already, such as (a+)+",
+            ) from None
+        found: list[str | None] = json.loads(done.stdout)
+        for file, tail in zip(files, found, strict=True):
+            if not tail:
+                problem = f"its name does not match tail = '{self.tail}'"
+                raise DataError(problem, file=file, hint="Correct the latter")
+        return {file: tail or "" for file, tail in zip(files, found, strict=True)}
 
 
 def load_fleet(path: Path) -> FleetConfig:
@@ -229,15 +251,81 @@ def read_table(dataset: Folder, name: str) -> Any:
 
 
 def _read_part(dataset: Folder, name: str) -> Any:
+    """One file of a dataset, with the columns and types of its table and no text left out."""
     pa, parquet = arrow(Path(name))
+    columns = _LIST_COLUMNS if name == WORK_LIST else TABLES[name.partition("/")[0]]
+    place = f"{dataset.address}/{name}"
+    hint = "Restore it, or choose another --out"
+    if name != WORK_LIST:
+        hint = "Remove its batch from the table logs: it is then computed anew"
     try:
-        return parquet.read_table(io.BytesIO(dataset.read(name)))
-    except pa.ArrowException:
-        place = f"{dataset.address}/{name}"
-        hint = "Restore it, or choose another --out"
-        if name != WORK_LIST:
-            hint = "Remove its batch from the table logs: it is then computed anew"
+        table = parquet.read_table(io.BytesIO(dataset.read(name)))
+        table.validate(full=True)
+    except NarxcalError:
+        raise
+    except Exception:  # noqa: BLE001 -- a reader by others raises anything on a damaged file
         raise DataError("the Parquet file is damaged", file=place, hint=hint) from None
+    found = {each.name: str(each.type) for each in table.schema}
+    for column, kind in columns.items():
+        if found.get(column) != str(pa.type_for_alias(kind)):
+            raise DataError(
+                f"expected a column of {kind}, found {found.get(column, 'none')}",
+                file=place, channel=column, hint=hint,
+            )  # fmt: skip
+    table = table.select(list(columns))
+    for number, row in enumerate(table.select(list(_needed(columns))).to_pylist()):
+        wrong = _wrong_row(row)
+        if wrong:
+            raise DataError(wrong, file=place, row=number + 1, hint=hint)
+    return table
+
+
+def _needed(columns: Mapping[str, str]) -> Iterator[str]:
+    """Columns whose values decide what is done with a row."""
+    for name in ("tail", "file", "batch", "size", "sha256", "status"):
+        if name in columns:
+            yield name
+
+
+def _wrong_row(row: Row) -> str:
+    """What is wrong with a row of a dataset, of which a file may be read; empty for nothing."""
+    empty = [name for name, value in row.items() if value is None]
+    if empty:
+        return f"its {empty[0]} is missing"
+    file = PurePosixPath(row["file"])
+    if ".." in file.parts or file.is_absolute() or PureWindowsPath(file).drive or not row["tail"]:
+        return f"expected a tail and a file below the folder of flights, found {row['file']}"
+    if row.get("batch", 0) < 0 or row.get("size", 0) < 0:
+        return "expected a batch and a size of at least 0"
+    if row.get("status", GOOD) not in {GOOD, FAILED, DUPLICATE}:
+        return f"the status {row['status']} is unknown"
+    return ""
+
+
+class _Document(Section):
+    """`fleet.json`."""
+
+    schema_: Literal["narxcal.fleet-dataset/1"] = Field(alias="schema")
+    runs: Mapping[str, str]
+    versions: Mapping[str, str]
+
+
+def read_document(dataset: Folder) -> _Document:
+    """Read `fleet.json` of a dataset; raises `DataError` where it is missing or another."""
+    hint = "Name the folder that narxcal fleet wrote"
+    if not dataset.has(DOCUMENT):
+        raise DataError(f"there is no {DOCUMENT}", file=dataset.address, hint=hint)
+    place, table = f"{dataset.address}/{DOCUMENT}", {}
+    with suppress(ValueError, RecursionError):
+        found = json.loads(dataset.read(DOCUMENT))
+        table = found if isinstance(found, dict) else {}
+    schema = table.get("schema")
+    if schema != SCHEMA:
+        raise DataError(f"expected the schema {SCHEMA}, found {schema}", file=place, hint=hint)
+    try:
+        return _Document.parse(table, place)
+    except ConfigError as error:
+        raise DataError(error.problem, file=place, hint=hint) from None
 
 
 @dataclass
@@ -298,7 +386,7 @@ class Fleet:
     def _new_rows(self, sizes: Mapping[str, int], known: Sequence[Row]) -> Iterator[Row]:
         """Rows of the files that are not listed yet, in batches that follow those of their tail."""
         listed = {row["file"] for row in known}
-        tails = {name: self.config.tail_of(name) for name in sizes if name not in listed}
+        tails = self.config.tails_of([name for name in sizes if name not in listed])
         after = {row["tail"]: row["batch"] + 1 for row in known}
         new = sorted(tails, key=lambda name: (tails[name], name))
         for tail, names in groupby(new, key=tails.__getitem__):
@@ -333,16 +421,16 @@ class Fleet:
         runs = {tail: self._run(tail)[0].sha256 for tail in sorted(tails)}
         document = {"schema": SCHEMA, "runs": runs, "versions": identity()}
         if self.out.has(DOCUMENT):
-            self._check_document(json.loads(self.out.read(DOCUMENT)), document)
+            self._check_document(read_document(self.out), document)
         elif self.out.sizes(["*", "*/*"]):
             raise ConfigError(
                 "the folder holds other content", file=self.out.address, hint="Choose another --out"
             )
         self.out.write(DOCUMENT, to_json(document).encode())
 
-    def _check_document(self, stored: Mapping[str, Any], own: Mapping[str, Any]) -> None:
+    def _check_document(self, stored: _Document, own: Mapping[str, Any]) -> None:
         for tail, sha256 in own["runs"].items():
-            was = stored.get("runs", {}).get(tail, sha256)
+            was = stored.runs.get(tail, sha256)
             if was != sha256:
                 raise ConfigError(
                     f"the results of {tail} are of the run with sha256 {was[:12]}, this one has "
@@ -351,7 +439,7 @@ class Fleet:
                     hint="Choose another --out, or that run",
                 )
         for name, own_version in own["versions"].items():
-            was = stored.get("versions", {}).get(name, "none")
+            was = stored.versions.get(name, "none")
             if was != own_version:
                 raise ConfigError(
                     f"the results are of {name} {was}, this is {name} {own_version}",

@@ -20,7 +20,6 @@ over the flights, which are in the order of their files' names, numbers by value
 
 from __future__ import annotations
 
-import json
 import re
 import shlex
 from collections import defaultdict
@@ -32,8 +31,7 @@ import numpy as np
 import pandas as pd
 
 from eval.drift import FALSE_DISCOVERIES, LEAST_FLIGHTS, Change, Drift, Prior, Series, detect
-from eval.fleet import DOCUMENT, WORK_LIST, read_table
-from eval.fleet import SCHEMA as DATASET
+from eval.fleet import WORK_LIST, read_document, read_table
 from eval.fleet_rows import FAILED, GOOD
 from eval.outcome import Outcome, plural
 from narxcal.channels import described, symbol
@@ -223,18 +221,7 @@ def watch(dataset: Folder, engine: str | None = None) -> Watch:
 
 def _check(dataset: Folder) -> int:
     """Number of batches that are not evaluated yet; raises `DataError` for what is no dataset."""
-    hint = "Name the folder that narxcal fleet wrote"
-    if not dataset.has(DOCUMENT):
-        raise DataError(f"there is no {DOCUMENT}", file=dataset.address, hint=hint)
-    try:
-        schema = json.loads(dataset.read(DOCUMENT))["schema"]
-    except (ValueError, TypeError, KeyError):
-        schema = None
-    if schema != DATASET:
-        raise DataError(
-            f"expected the schema {DATASET}, found {schema}",
-            file=f"{dataset.address}/{DOCUMENT}", hint=hint,
-        )  # fmt: skip
+    read_document(dataset)
     done = len(dataset.sizes(["logs/*/*.parquet"]))
     if not done:
         raise DataError(

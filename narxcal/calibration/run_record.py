@@ -76,7 +76,10 @@ class FitRecord(_Part):
 
 
 class IdentityRecord(_Part):
-    """What a log that the model learned from is recognised by (`data_prep.identity`)."""
+    """What a log that the model learned from is recognised by (`data_prep.identity`).
+
+    Older versions stored no `moves`: the digest is left.
+    """
 
     log: str
     file: str
@@ -85,8 +88,8 @@ class IdentityRecord(_Part):
     role: Literal["train", "validate"]
     digest: str
     channels: tuple[str, ...]
-    noise: tuple[float, ...]
-    anchors: str
+    span_s: float = 0.5
+    moves: str = ""
 
 
 class HeldOutRecord(_Part):

@@ -13,12 +13,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from narxcal.support.errors import ConfigError, DataError
+from narxcal.support.errors import ConfigError, DataError, NarxcalError
 from narxcal.support.files import atomic_write_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+_SCHEMES = ("abfs", "az", "gcs", "gs", "memory", "s3", "s3a", "sftp")
 _ATOMIC = {"s3", "s3a", "gs", "gcs", "az", "abfs", "memory"}
 
 
@@ -44,10 +45,15 @@ class Folder:
     def _place(self) -> tuple[Any, str]:
         from fsspec.core import url_to_fs  # noqa: PLC0415 -- comes with torch; help does not wait
 
+        hint = "Name a folder, or an address such as s3://BUCKET/FOLDER"
+        scheme = self.address.partition("://")[0]
+        # Of others some connect before anything is asked of them, and some run what they name.
+        if not is_local(self.address) and scheme not in _SCHEMES:
+            problem = f"expected a path or an address of {', '.join(_SCHEMES)}, found {scheme}://"
+            raise ConfigError(problem, file=self.address, hint=hint)
         try:
             files, root = url_to_fs(self.address)
-        except (ImportError, ValueError, OSError) as error:
-            hint = "Name a folder, or an address such as s3://BUCKET/FOLDER"
+        except Exception as error:  # noqa: BLE001 -- each store raises what it likes
             raise ConfigError(f"cannot be opened: {error}", file=self.address, hint=hint) from None
         return files, root.rstrip("/")
 
@@ -99,7 +105,7 @@ class Folder:
             else:
                 files.pipe_file(f"{target}.part", content)
                 files.mv(f"{target}.part", target)
-        except OSError as error:
+        except Exception as error:  # noqa: BLE001 -- each store raises what it likes
             raise ConfigError(f"cannot write: {error}", file=f"{self.address}/{name}") from None
 
     @contextmanager
@@ -120,6 +126,9 @@ class Folder:
     def _reported(self, name: str) -> Iterator[None]:
         try:
             yield
-        except OSError as error:
+        except NarxcalError:
+            raise
+        except Exception as error:  # noqa: BLE001 -- each store raises what it likes
             place = f"{self.address.rstrip('/')}/{name}"
-            raise DataError(f"cannot be read: {error.strerror or error}", file=place) from None
+            why = getattr(error, "strerror", None) or error
+            raise DataError(f"cannot be read: {why}", file=place) from None

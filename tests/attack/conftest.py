@@ -72,6 +72,11 @@ def copies():
                 {name: np.array([float(f"{x:.4g}") for x in log[name]]) for name in LAGS}
             )
         ),
+        "recalibrated": lambda log: renamed(
+            log.with_channels(
+                {name: log[name] * (1.001 + 0.0015 * log.time_s / log.time_s[-1]) for name in LAGS}
+            )
+        ),
         "masked": lambda log: renamed(
             log.with_channels({"N1_pct": np.where(log.time_s % 10.0 < 2.0, np.nan, log["N1_pct"])})
         ),

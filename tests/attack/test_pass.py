@@ -12,6 +12,7 @@ import pytest
 
 from data_prep.prepare import Preparation, prepare
 from eval.evaluate import evaluate
+from eval.run_logs import EvaluateConfig
 
 
 def engine():
@@ -73,19 +74,32 @@ WAYS = {
 }
 
 
+def model_output(log):
+    """A log with what the model gives in the place of what was measured."""
+    exact = ENGINE.lag_log("new.csv")
+    return log.with_channels({name: exact[name] for name in ENGINE.OUTPUTS})
+
+
+WAYS["model output as measurement"] = model_output
+
+
+def bundle_with(**parts):
+    """The bundle of the engine with errors on three held-out logs, and `parts` of its record."""
+    bundle = ENGINE.lag_bundle(train=[ENGINE.lag_log("train.csv", offset=(-2.0, 1.5))])
+    errors = {"N1_pct": [0.02, 0.04, 0.06], "N2_pct": [0.02, 0.04, 0.06]}
+    held = {"logs": ["a", "b", "c"], "fitted": False, "rmse": errors}
+    return type(bundle)(bundle.calibration, bundle.record.having(**{"held_out": held} | parts))
+
+
 @pytest.fixture
 def judged():
     """The evaluation of a log that was prepared as `evaluate` prepares it."""
-    train = [ENGINE.lag_log("train.csv", offset=(-2.0, 1.5))]
-    errors = {"N1_pct": [0.02, 0.04, 0.06], "N2_pct": [0.02, 0.04, 0.06]}
-    bundle = ENGINE.lag_bundle(train=train)
-    held = {"logs": ["a", "b", "c"], "fitted": False, "rmse": errors}
-    bundle = type(bundle)(bundle.calibration, bundle.record.having(held_out=held))
 
-    def run(change):
+    def run(change, settings=None, **parts):
         log = change(ENGINE.lag_log("new.csv", offset=(0.06, 0.05)))
         tables = Preparation.parse({"smooth": {"window": 1}, "events": {"condition": ""}})
-        return evaluate(bundle, [prepare([log], tables)[0].log])
+        bundle = bundle_with(**parts)
+        return evaluate(bundle, [prepare([log], tables)[0].log], settings=settings)
 
     return run
 
@@ -105,3 +119,33 @@ def test_no_way_to_an_undeserved_pass(judged, way):
     assert found.outcome.exit_code == 1
     assert found.missed()
     assert found.document()["ok"] is False
+
+
+def test_the_output_of_the_model_is_no_measurement(judged):
+    outcome = judged(model_output).outcome
+    assert outcome.passed is None
+    assert outcome.lines[0] == (
+        "new.csv: N1 is no measurement: RMSE 0 %, its noise alone leaves more "
+        "(0.02 is the least of 3 held-out training logs)."
+    )
+
+
+def test_a_run_without_a_record_of_errors_passes_nothing(judged):
+    outcome = judged(lambda log: log, held_out=None).outcome
+    assert outcome.passed is None
+    assert outcome.lines[0] == (
+        "N1, N2: the run has no record of errors on held-out logs: train it anew."
+    )
+
+
+def test_bounds_that_the_steady_state_meets_earn_no_pass_and_all_are_stated(judged):
+    table = {"largest_rmse": {"N1_pct": 50.0}, "least_passed_pct": 0.1}
+    found = judged(steps("N1_pct", lambda v, _: 1.1 * v + 3.0), EvaluateConfig.parse(table))
+    assert found.outcome.exit_code == 1
+    assert any("largest_rmse.N1_pct = 50 is no bound" in line for line in found.outcome.lines)
+    stated = "least_passed_pct = 0.1 (default 95.0), largest_rmse.N1_pct = 50.0 (default None)."
+    assert any(line.endswith(stated) for line in found.outcome.lines)
+    assert found.document()["bounds"] == {
+        "least_passed_pct": {"value": 0.1, "default": 95.0},
+        "largest_rmse.N1_pct": {"value": 50.0, "default": None},
+    }

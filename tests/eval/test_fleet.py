@@ -321,7 +321,8 @@ def test_an_address_of_an_unknown_kind(fleet, grow):
     found = grow("carrier-pigeon://loft")
     refused(
         found,
-        "carrier-pigeon://loft: cannot be opened: Protocol not known: carrier-pigeon. "
+        "carrier-pigeon://loft: expected a path or an address of abfs, az, gcs, gs, memory, s3, "
+        "s3a, sftp, found carrier-pigeon://. "
         "Name a folder, or an address such as s3://BUCKET/FOLDER",
     )
 

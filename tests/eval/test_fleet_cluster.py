@@ -26,11 +26,11 @@ from fsspec import register_implementation
 from fsspec.implementations.local import LocalFileSystem
 
 class Deadly(LocalFileSystem):
-    protocol = ("deadly",)
+    protocol = ("sftp",)
 
     @classmethod
     def _strip_protocol(cls, path):
-        return super()._strip_protocol(str(path).removeprefix("deadly://"))
+        return super()._strip_protocol(str(path).removeprefix("sftp://"))
 
     def get(self, source, target, **options):
         if source.endswith("deadly.csv") and os.path.exists(source + ".hashed"):
@@ -39,7 +39,7 @@ class Deadly(LocalFileSystem):
             open(source + ".hashed", "w").close()
         return super().get(source, target, **options)
 
-register_implementation("deadly", Deadly)
+register_implementation("sftp", Deadly, clobber=True)
 """
 
 
@@ -167,7 +167,7 @@ def test_a_log_of_which_workers_die_is_a_row(fleet, servers, tmp_path, monkeypat
         file = f"f{number:02d}.csv"
         (folder / file).write_bytes((fleet / f"flights/N{number % 2}/{file}").read_bytes())
     (folder / "deadly.csv").write_bytes((fleet / "flights/N0/f04.csv").read_bytes())
-    text = CONFIG.format(batch=3).replace('"flights"', f'"deadly://{tmp_path}/flights"')
+    text = CONFIG.format(batch=3).replace('"flights"', f'"sftp://{tmp_path}/flights"')
     (tmp_path / "fleet.toml").write_text(text.replace('"run"', f'"{fleet}/run"'), "utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))
     import deadly_files  # noqa: F401, PLC0415 -- registers its file system
