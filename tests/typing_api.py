@@ -19,7 +19,7 @@ from data_prep import Audit, AuditEntry, Event, EventsConfig, Log, find_events, 
 from data_prep.clean import CleanConfig, clean
 from data_prep.prepare import Prepared, prepare
 from data_prep.smooth import SmoothConfig, smooth
-from eval import transients
+from training import transients
 from eval.results import Judgement, PreparedLogs, Recordings, Training
 from narxcal import (
     Bundle,

@@ -146,7 +146,7 @@ class _Text:
             *(f"# {log.name}: {len(log)} samples, one every {log.dt_s:.4g} s" for log in self.logs),
             *([f"# could not be read yet: {self.trouble}"] if self.trouble else []),
             *(
-                f'{key} = "{OPEN}"  # the file leaves it open; read as {_toml(value)} here'
+                f'{key} = "{OPEN}"  # the file leaves it open; read as {in_toml(value)} here'
                 for key, value in self.columns.assumed.items()
             ),
         ]
