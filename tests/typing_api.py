@@ -19,7 +19,6 @@ from data_prep import Audit, AuditEntry, Event, EventsConfig, Log, find_events, 
 from data_prep.clean import CleanConfig, clean
 from data_prep.prepare import Prepared, prepare
 from data_prep.smooth import SmoothConfig, smooth
-from training import transients
 from eval.results import Judgement, PreparedLogs, Recordings, Training
 from narxcal import (
     Bundle,
@@ -41,6 +40,7 @@ from narxcal.channels import CHANNELS, Channel, channel
 from narxcal.flight_test.fly import VirtualLog, fly, load_scenario, write_flights
 from narxcal.flight_test.scenario import FlightScenario
 from narxcal.turbofan import VirtualEngine, maker_model
+from training import transients
 from training.config import RunConfig, load_config
 from training.transients import Assessment, Overlay, TransientsConfig
 

@@ -203,23 +203,22 @@ def _require(inputs: FloatArray, outputs: FloatArray, layout: Layout) -> None:
         )
     if len(inputs) < 50:
         raise DataError(
-            f"expected at least 50 quasi-steady samples, found {len(inputs)}",
+            f"expected at least 50 samples to fit curves to, found {len(inputs)}",
             channel=layout.driver,
-            hint="Raise [quasi_steady] speed_pct or lower window_s, add logs, or set "
-            "[steady_state] kind to table, callable or fmu",
+            hint="Add logs, or set [steady_state] kind to table, callable or fmu",
         )
     drive = layout.drive(inputs)
     if float(np.ptp(drive)) <= 1e-6 * max(1.0, float(np.abs(drive).max())):
         raise DataError(
             f"the driving channel stands at {layout.column(inputs, layout.driver)[0]:g} in all "
-            "quasi-steady samples, so no curve can be fitted",
+            "samples, so no curve can be fitted",
             channel=layout.driver,
             hint="Add logs at other power settings",
         )
     for name, column in zip(layout.output_names, outputs.T, strict=True):
         if not np.isfinite(column).any():
             raise DataError(
-                "the output is masked in all quasi-steady samples, so no curve can be fitted",
+                "the output is masked in all samples, so no curve can be fitted",
                 channel=name,
                 hint="Take it out of [narx] outputs, or add logs that hold it",
             )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 from pathlib import Path
+from textwrap import wrap
 
 from eval import terminal
 from eval.compare import SCHEMA, Comparison, Run, compare_runs
@@ -71,4 +72,4 @@ def _header(runs: Sequence[Run]) -> RunHeader:
 def _show(console: Console, found: Comparison) -> None:
     terminal.print_comparison(console.page, found)
     for line in (*found.summary(), *found.remarks):
-        console.say(line)
+        console.say("\n".join(wrap(line, 79, subsequent_indent="  ")))

@@ -80,7 +80,7 @@ def test_the_same_recording_on_both_sides_is_refused_by_name(flight, copies):
     log = flight(1)
     with pytest.raises(DataError) as error:
         refuse_duplicates([log, flight(2), copies["cut"](log)], "it would be judged on itself")
-    start = "copy.csv holds the samples of flight_1.csv: 9"
+    start = "copy.csv holds the samples of flight_1.csv: 100 % of it, 1"
     end = "it would be judged on itself. Leave one of the two out of [logs] files, or of [split]"
     assert str(error.value).startswith(start)
     assert str(error.value).endswith(end)

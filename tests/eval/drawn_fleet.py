@@ -72,7 +72,8 @@ def draw(case: Case, dataset: Folder) -> None:
     """Write the dataset of a case."""
     pa, parquet = arrow(Path(WORK_LIST))
     names = [f"T{k:02d}" for k in range(case.tails)]
-    parts = {DOCUMENT: to_json({"schema": SCHEMA, "runs": dict.fromkeys(names, "drawn")}).encode()}
+    document = {"schema": SCHEMA, "runs": dict.fromkeys(names, "drawn"), "versions": {}}
+    parts = {DOCUMENT: to_json(document).encode()}
     listed: list[Row] = []
     for number, tail in enumerate(names):
         rows: dict[str, list[Row]] = {name: [] for name in ("logs", "trims", "scores", "events")}
@@ -84,7 +85,8 @@ def draw(case: Case, dataset: Folder) -> None:
             stream = io.BytesIO()
             parquet.write_table(table, stream)
             parts[f"{name}/{tail}/00000.parquet"] = stream.getvalue()
-        listed.append({"tail": tail, "batch": 0})
+        log = {"file": f"{tail}.csv", "size": 1, "sha256": tail, "engine": ""}
+        listed.append({"tail": tail, "batch": 0, **log})
     stream = io.BytesIO()
     parquet.write_table(pa.Table.from_pylist(listed), stream)
     for name, content in {WORK_LIST: stream.getvalue(), **parts}.items():
@@ -105,7 +107,8 @@ def _engine(case: Case, tail: str, engine: str, rng: np.random.Generator) -> Ite
     for k in range(case.flights):
         file = f"{k:04d}.csv"
         whose = {"tail": tail, "file": file, "engine": engine, "log": f"{file}:{engine}"}
-        yield {"table": "logs", **whose, "status": GOOD, "hours": HOURS}
+        known = {"status": GOOD, "hours": HOURS, "size": 1, "sha256": file}
+        yield {"table": "logs", **whose, **known}
         levels = np.flatnonzero(rng.random(10) < 0.6)
         for name, spread in SPREADS.items():
             for level in levels.tolist():

@@ -71,7 +71,7 @@ def test_a_slow_model_is_a_dynamic_error_and_fails_its_events(make_bundle, make_
     assert (
         found["baselines"]["first_order"]["passed"] == found["baselines"]["first_order"]["assessed"]
     )
-    (missed,) = evaluation.missed()
+    missed = evaluation.missed()[0]
     assert re.fullmatch(
         r"Ti/Tt: \d+ of \d+ transients pass \(50\.0 %\), at least 95 % have to", missed
     )
@@ -327,19 +327,24 @@ def test_what_lies_between_two_measurements_is_not_scored(make_bundle, make_log)
     )
 
 
-def with_levels(bundle, levels, lags=(0.0, 0.0, 0.0, 0.0)):
-    """A bundle whose training held logs out, with these levels and lags in every output."""
+def with_levels(bundle, levels, lags=(0.0, 0.0, 0.0, 0.0), rmse=(0.0, 0.0)):
+    """A bundle whose training held logs out, with these levels and lags in every output.
+
+    `rmse` are the errors that are usual on another log.
+    """
     own = {"weights": {"network": 1.0}, "held_out_level": levels, "held_out_lag_s": list(lags)}
     names = bundle.calibration.output_names
-    return replace(
-        bundle, record=bundle.record.having(mixture={"channels": dict.fromkeys(names, own)})
-    )
+    usual = {name: [each] for name, each in zip(names, rmse, strict=True)}
+    held = {"logs": ["a"], "fitted": False, "rmse": usual}
+    mixture = {"channels": dict.fromkeys(names, own)}
+    return replace(bundle, record=bundle.record.having(mixture=mixture, held_out=held))
 
 
 def test_a_level_beyond_that_of_held_out_logs_fails_beside_right_times(make_bundle, make_log):
-    bundle = with_levels(make_bundle(), [0.3, -0.2, 0.4, -0.1])
-    sound = evaluate(bundle, [make_log()])
+    levels = [0.3, -0.2, 0.4, -0.1]
+    sound = evaluate(with_levels(make_bundle(), levels), [make_log()])
     assert sound.missed() == []
+    bundle = with_levels(make_bundle(), levels, rmse=(8.0, 0.1))
     wrong = evaluate(bundle, [make_log(offset=(-8.0, 0.1))])
     (missed,) = wrong.missed()
     assert re.fullmatch(
@@ -357,7 +362,8 @@ def test_a_level_beyond_that_of_held_out_logs_fails_beside_right_times(make_bund
 
 @pytest.mark.parametrize("levels", [[], [0.1, -0.2]])
 def test_with_few_held_out_logs_a_level_is_a_caution_with_its_size(make_bundle, make_log, levels):
-    found = evaluate(with_levels(make_bundle(), levels), [make_log(offset=(-8.0, 0.1))])
+    bundle = with_levels(make_bundle(), levels, rmse=(8.0, 0.1))
+    found = evaluate(bundle, [make_log(offset=(-8.0, 0.1))])
     assert found.missed() == []
     (caution,) = found.level_cautions
     assert caution == (

@@ -365,7 +365,8 @@ def test_a_folder_that_is_no_dataset(narxcal, tmp_path):
         f"{tmp_path}/F/fleet.json: expected the schema narxcal.fleet-dataset/1, found "
         f"narxcal.gap/2. {HINT}",
     )
-    (tmp_path / "F/fleet.json").write_text('{"schema": "narxcal.fleet-dataset/1"}', "utf-8")
+    empty = '{"schema": "narxcal.fleet-dataset/1", "runs": {}, "versions": {}}'
+    (tmp_path / "F/fleet.json").write_text(empty, "utf-8")
     refused(
         narxcal(tmp_path / "F", "--out", page),
         f"{tmp_path}/F: no batch of logs is evaluated yet. Go on with narxcal fleet first",

@@ -20,24 +20,27 @@ SCALES = {
 }
 
 
+HEAT = {"heat": 1.0, "heat_speed": -0.5, "heat_rate": 0.4, "heat_air": 0.8}
+
+
 def truth(**limits):
-    """Lags without limits of the spools' rates, but for `limits`."""
+    """Lags without limits of the spools' rates, but for `limits`; heat of none drives spools."""
     free = {"log_up": UNLIMITED, "log_down": UNLIMITED, **limits}
     values = {
         "N1_pct": {"log_tau": 0.2, "air": 0.8, "speed": -0.3, "target": -0.4, "lead_s": 0.2,
-                   "core": 0.3, "slow_share": 0.03, "log_slow_tau": 1.6},
+                   "core": 0.3, **HEAT},
         "N2_pct": {"log_tau": 0.0, "air": 1.0, "speed": -0.2, "target": -0.5, "lead_s": 0.4,
-                   "slow_share": 0.05, "log_slow_tau": 1.8},
+                   **HEAT},
         "EGT_C": {"log_tau": -0.5, "core": -3.0, "slow_share": 0.1, "log_slow_tau": 2.0},
     }  # fmt: skip
     table = [[values[name].get(key, free.get(key, 0.0)) for key in PARAMETERS] for name in NAMES[1]]
     return LumpedEngine.of(NAMES[1], {"parameters": np.array(table)}, SCALES)
 
 
-def log(seed, bleed=0.0, noise=0.02, dt_s=DT_S, model=None):
-    """Moves every 12 s at altitudes up to 30 000 ft, followed by the true lags."""
+def log(seed, *, bleed=0.0, noise=0.02, dt_s=DT_S, model=None, hold_s=12.0):
+    """Moves every `hold_s` at altitudes up to 30 000 ft, followed by the true lags."""
     rng = np.random.default_rng(seed)
-    hold, moves = round(12.0 / dt_s), 40
+    hold, moves = round(hold_s / dt_s), 40
     part = np.repeat(rng.uniform(-1.0, 1.0, moves), hold)
     part = np.convolve(part, np.ones(8) / 8, "same")[:, None]
     ss = np.array([60.0, 75.0, 500.0]) + np.array([30.0, 20.0, 150.0]) * part
@@ -59,7 +62,8 @@ def follow(model, seed=99, dt_s=DT_S, true=None):
 
 def test_known_lags_come_back_and_follow_an_unseen_log():
     model = fit_engine([log(0), log(1)], NAMES, DT_S)
-    assert (follow(model) < [0.03, 0.03, 0.03]).all()
+    # So close to the moves, little is seen of the slow heat soak, which is most in the temperature.
+    assert (follow(model) < [0.01, 0.01, 0.15]).all()
     core = dict(zip(PARAMETERS, model.arrays["parameters"][1], strict=True))
     assert core["air"] == pytest.approx(1.0, abs=0.05)
     assert core["lead_s"] == pytest.approx(0.4, abs=0.05)
@@ -73,14 +77,14 @@ def test_a_finer_raster_gives_the_same_lags():
 
 def test_a_bleed_that_nobody_recorded_hardly_bends_them():
     model = fit_engine([log(0, bleed=1.5), log(1)], NAMES, DT_S)
-    assert (follow(model) < [0.06, 0.06, 0.06]).all()
+    assert (follow(model) < [0.06, 0.06, 0.15]).all()
 
 
 def test_masked_samples_are_left_out():
     holed = log(0)
     holed.measured[500:900, 0] = np.nan
     holed.measured[2000:2050] = np.nan
-    assert (follow(fit_engine([holed, log(1)], NAMES, DT_S)) < 0.05).all()
+    assert (follow(fit_engine([holed, log(1)], NAMES, DT_S)) < [0.01, 0.01, 0.15]).all()
 
 
 def test_the_limit_is_wider_than_what_training_has_seen():
@@ -96,7 +100,7 @@ def test_an_engine_that_never_moves_cannot_teach_a_lag():
         fit_engine([LagSamples(np.zeros((200, 1)), still, wander)], NAMES, DT_S)
 
 
-def small_moves_of_another_kind(relative):
+def test_small_moves_count_as_much_as_slams():
     """One log of slams, and one of moves a tenth of that, which are slower than the lags allow."""
     slams, small = log(0, noise=0.0), log(1, noise=0.0)
     middle = np.array([60.0, 75.0, 500.0])
@@ -105,22 +109,13 @@ def small_moves_of_another_kind(relative):
     for k in range(1, len(ss)):
         slow[k] = np.exp(-DT_S / 2.5) * (slow[k - 1] + ss[k] - ss[k - 1])
     small = LagSamples(small.inputs, ss, ss - slow)
-    model = fit_engine([slams, small], NAMES, DT_S, Form(relative=relative))
-    drive = model.drive(small.inputs, NAMES[0], ss)
-    found = model.deviations(drive, np.zeros(3), DT_S)
-    return np.sqrt(np.mean((found - slow)[:, 1] ** 2)) / slow[:, 1].std()
-
-
-def test_relative_errors_let_small_moves_count_as_much_as_slams():
-    assert small_moves_of_another_kind(relative=True) < 0.8 * small_moves_of_another_kind(
-        relative=False
-    )
-
-
-def test_relative_errors_find_known_lags_as_well():
-    model = fit_engine([log(0), log(1)], NAMES, DT_S, Form(relative=True))
-    # So close to the moves, less is seen of the slow heat soak, which is most in the temperature.
-    assert (follow(model) < [0.03, 0.03, 0.12]).all()
+    left = []
+    for logs in ([slams, small], [slams]):
+        model = fit_engine(logs, NAMES, DT_S)
+        drive = model.drive(small.inputs, NAMES[0], ss)
+        error = (model.deviations(drive, np.zeros(3), DT_S) - slow)[:, 1]
+        left.append(float(np.sqrt(np.mean(error**2))))
+    assert left[0] < 0.75 * left[1]  # of absolute errors slams would decide alone
 
 
 def test_limits_of_acceleration_and_deceleration_come_back():
@@ -149,23 +144,24 @@ def test_the_heat_of_the_casing_comes_back_though_each_stretch_begins_with_some_
     hot = {"casing_share": 0.1, "log_casing_tau": 4.0, "core": 6.0, "rate": -4.0, "rate_air": 0.5}
     for name, value in hot.items():
         true.arrays["parameters"][2, PARAMETERS.index(name)] = value
-    logs = [log(seed, model=true) for seed in (0, 1)]
+    logs = [log(seed, model=true, hold_s=40.0) for seed in (0, 1)]
     fitted = fit_engine(logs, NAMES, DT_S, Form(limited=True))
     plain = fit_engine(logs, NAMES, DT_S)
     assert follow(fitted, true=true)[2] < 0.03
     assert follow(plain, true=true)[2] > 0.06
 
 
-def test_heat_that_drives_the_spools_comes_back():
+@pytest.mark.parametrize("share", [0.0, 0.15])
+def test_heat_that_drives_the_spools_comes_back_and_is_nil_where_there_is_none(share):
+    """It shows where the engine rests between moves, as in flight."""
     true = truth()
-    true.arrays["parameters"][:2, PARAMETERS.index("slow_share")] = 0.15
-    begun, _ = start_engine(NAMES[1], Form(heat=True), SCALES)
-    hot, given = begun.arrays["parameters"], np.arange(len(PARAMETERS) - 4, len(PARAMETERS))
-    true.arrays["parameters"][:, given] = hot[:, given]
-    logs = [log(seed, model=true) for seed in (0, 1)]
-    fitted, plain = (fit_engine(logs, NAMES, DT_S, Form(heat=heat)) for heat in (True, False))
-    np.testing.assert_array_equal(fitted.arrays["parameters"][:, given], hot[:, given])
-    assert (hot[:2, given[0]] == 1.0).all()
-    assert not hot[2, given].any()  # a temperature shows the metal's heat itself
-    assert (follow(fitted, true=true) < 0.03).all()
-    assert (follow(plain, true=true)[:2] > 2.0 * follow(fitted, true=true)[:2]).all()
+    slow = [PARAMETERS.index(name) for name in ("slow_share", "log_slow_tau")]
+    true.arrays["parameters"][:2, slow] = share, 1.6
+    fitted = fit_engine([log(k, model=true, hold_s=40.0) for k in (0, 1)], NAMES, DT_S)
+    found = fitted.arrays["parameters"][:2, slow[0]]
+    assert found == pytest.approx([share] * 2, abs=0.003 + 0.25 * share)
+    assert (follow(fitted, true=true)[:2] < 0.03).all()
+    begun, _ = start_engine(NAMES[1], Form(), SCALES)
+    given = [PARAMETERS.index(name) for name in HEAT]
+    assert begun.arrays["parameters"][:2, given].tolist() == [list(HEAT.values())] * 2
+    assert not begun.arrays["parameters"][2, given].any()  # a temperature shows heat itself

@@ -29,7 +29,7 @@ from training.pipeline import (
     input_reach,
     prepare_logs,
 )
-from training.records import Split, deviation_record, split_logs
+from training.records import Split, deviation_record, lag_samples, split_logs
 
 DT_S, TAU_S = 0.1, 1.5
 TABLE = {
@@ -284,14 +284,21 @@ def with_tail():
     return lag, replace(log, channels={**log.channels, **channels})
 
 
-@pytest.mark.parametrize(("heat", "low", "high"), [(True, 0.0, 0.1), (False, 0.2, 2.0)])
-def test_a_slow_tail_is_not_taken_for_static_error_where_heat_is_known(heat, low, high):
+def test_a_slow_tail_is_not_taken_for_static_error():
     lag, log = with_tail()
-    narx = {**TABLE["narx"], "lag": True, "lag_heat": heat}
-    left = deviation_record(log, Line(), config(narx=narx), lag).y
+    section = config(narx={**TABLE["narx"], "lag": True})
+    left = deviation_record(log, Line(), section, lag).y
     still = np.arange(len(log)) % 150 > 100  # the last 5 s before each move
-    error = np.sqrt(np.mean(left[still, 0] ** 2))
-    assert low <= error < high
+    assert np.sqrt(np.mean(left[still, 0] ** 2)) < 0.1
+    trimmed = lag_samples(log, Line(), section)  # as if nothing were still to come
+    known = lag_samples(log, Line(), section, lag)
+    assert np.abs(trimmed.ss - known.ss)[still, 0].max() > 0.2
+
+
+@pytest.mark.parametrize("key", ["lag_heat", "lag_errors"])
+def test_a_key_that_is_gone_is_named(key):
+    with pytest.raises(ConfigError, match=f"{key} is no key any more: all lags have heat"):
+        config(narx={**TABLE["narx"], key: True})
 
 
 def test_lags_need_an_anchored_network():

@@ -201,14 +201,40 @@ def test_corrected_parameters_are_no_choice_without_altitude():
     assert chosen_layout(asked, logs(as_asked)).corrected is False
 
 
-def test_logs_that_are_never_quasi_steady_are_refused_with_what_to_do():
-    moving = {"N1_pct": np.linspace(20.0, 100.0, 40)}
-    short = [log.part(0, 40).with_channels(moving) for log in logs(similar)]
+def test_logs_of_too_few_samples_are_refused_with_what_to_do():
+    moving = {"N1_pct": np.linspace(20.0, 100.0, 10)}
+    short = [log.part(0, 10).with_channels(moving) for log in logs(similar)[:2]]
     with pytest.raises(DataError) as caught:
         steady_state(config(), None, short)
-    assert str(caught.value).startswith(
-        "channel TRA_deg: expected at least 50 quasi-steady samples, found 0. Raise [quasi_steady]"
+    assert str(caught.value) == (
+        "channel TRA_deg: expected at least 50 samples to fit curves to, found 20. Add logs, or "
+        "set [steady_state] kind to table, callable or fmu"
     )
+
+
+@pytest.mark.parametrize("pushes_s", [(2.0, 4.5), (20.0, 30.0)])
+def test_a_level_that_is_nowhere_settled_comes_from_the_motion(pushes_s):
+    """One lag of 1.2 s behind a line; short pushes settle at rest alone, long ones everywhere."""
+    rng, dt_s, lever, y = np.random.default_rng(0), 0.5, [], 20.0
+    while len(lever) < 1100:
+        push, rest = (round(t / dt_s) for t in (rng.uniform(*pushes_s), rng.choice([5.0, 30.0])))
+        lever += [float(rng.choice([10, 20, 35, 50, 70]))] * push + [0.0] * rest
+    speed = np.empty(len(lever))
+    for k, at in enumerate(lever):
+        y += (20.0 + 0.9 * at - y) * (1.0 - np.exp(-dt_s / 1.2))
+        speed[k] = y
+    channels = {
+        "TRA_deg": np.array(lever),
+        "N1_pct": speed + rng.normal(0.0, 0.2, len(lever)),
+        **{name: np.zeros(len(lever)) for name in ("ALT_ft", "Mach", "dT_C")},
+    }
+    log = Log("moving", dt_s * np.arange(len(lever)), channels)
+    section = {"narx": {"outputs": ["N1_pct"]}, "events": {"driver": "TRA_deg"}}
+    found = RunConfig.parse({**section, "steady_state": {"corrected": False, "blend": []}})
+    model, quality = steady_state(found, None, [log])
+    at = np.array([[lever, 0.0, 0.0, 0.0] for lever in (0.0, 20.0, 50.0, 70.0)])
+    np.testing.assert_allclose(model.outputs(at)[:, 0], 20.0 + 0.9 * at[:, 0], atol=1.0)
+    assert (quality.coverage < 0.5) == (pushes_s[0] < 10.0)
 
 
 def test_what_is_no_switch_is_refused():

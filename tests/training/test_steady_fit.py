@@ -179,17 +179,16 @@ def dark_output():
 
 
 TOO_FEW = (
-    "channel TRA_deg: expected at least 50 quasi-steady samples, found 49. "
-    "Raise [quasi_steady] speed_pct or lower window_s, add logs, or set [steady_state] kind to "
-    "table, callable or fmu"
+    "channel TRA_deg: expected at least 50 samples to fit curves to, found 49. "
+    "Add logs, or set [steady_state] kind to table, callable or fmu"
 )
 STANDS = (
-    "channel TRA_deg: the driving channel stands at 40 in all quasi-steady samples, "
-    "so no curve can be fitted. Add logs at other power settings"
+    "channel TRA_deg: the driving channel stands at 40 in all samples, so no curve can be "
+    "fitted. Add logs at other power settings"
 )
 DARK = (
-    "channel EGT_C: the output is masked in all quasi-steady samples, so no curve can be "
-    "fitted. Take it out of [narx] outputs, or add logs that hold it"
+    "channel EGT_C: the output is masked in all samples, so no curve can be fitted. "
+    "Take it out of [narx] outputs, or add logs that hold it"
 )
 
 

@@ -40,7 +40,9 @@ def model(seed=0, **changed):
         knots=KNOTS,
         curve=curve,
         engines=("left", "right"),
-        engine_curves=np.stack([np.ones((len(OUTPUTS), 1 + len(KNOTS)))] * 2) * [[[1.0]], [[-1.0]]],
+        engine_curves=np.ones((2, len(OUTPUTS), 1))
+        * np.eye(1 + len(KNOTS))[0]
+        * [[[1.0]], [[-1.0]]],
     )
 
 
