@@ -24,7 +24,7 @@ HEAT = {"heat": 1.0, "heat_speed": -0.5, "heat_rate": 0.4, "heat_air": 0.8}
 
 
 def truth(**limits):
-    """Lags without limits of the spools' rates, but for `limits`; heat of none drives spools."""
+    """Lags without limits of the spools' rates, but for `limits`; their heat is nil."""
     free = {"log_up": UNLIMITED, "log_down": UNLIMITED, **limits}
     values = {
         "N1_pct": {"log_tau": 0.2, "air": 0.8, "speed": -0.3, "target": -0.4, "lead_s": 0.2,
