@@ -38,6 +38,8 @@ def fitted(**changed):
     rise = span * rng.uniform(0.05, 0.25, (3, corners, len(knots)))
     base = np.array([15.0, 50.0, 700.0])[:, None, None] * rng.uniform(0.95, 1.05, (3, corners, 1))
     count = len(layout.exponents)
+    offset, slope = np.split(rng.normal(size=(2, 3, 2)), 2, axis=2)
+    lines = np.concatenate([offset, np.repeat(slope / len(knots), len(knots), axis=2)], axis=2)
     return FittedSteadyState(
         layout=layout,
         envelope=Envelope(LOW, HIGH),
@@ -45,7 +47,7 @@ def fitted(**changed):
         knots=knots,
         curve=np.concatenate([base, rise], axis=2),
         engines=("left", "right"),
-        engine_curves=rng.normal(size=(2, 3, 1 + len(knots))),
+        engine_curves=lines,
         switch_lines=rng.normal(size=(len(layout.switches), 3, 2)),
         air_lines=rng.normal(size=(count, 3, 2)),
         air_seen=np.tile([-0.4, 0.1], (count, 1)),
