@@ -196,7 +196,10 @@ def _fitted_rates(
         return np.concatenate([*off, smooth * np.diff(np.log(rates), axis=1).ravel()])
 
     start = np.full(2 * _NODES, _START)
-    fit = least_squares(residual, start, bounds=(np.log(0.01), np.log(200.0)), max_nfev=40)
+    # Where runs show nothing a spool must still come to rest: it crosses its range in half the time
+    # after which it is read.
+    slowest = (ends[1] - ends[0]) / (0.5 * _AFTER_S)
+    fit = least_squares(residual, start, bounds=np.log([slowest, 200.0]), max_nfev=40)
     up, down = np.exp(fit.x).reshape(2, -1)
     return nodes, up, down
 

@@ -153,10 +153,6 @@ def test_a_run_becomes_a_graph(narxcal, run, tmp_path):
     )
 
 
-@pytest.mark.xfail(
-    reason="the rates fitted to this short training do not settle in JSBSim within two minutes",
-    strict=True,
-)
 @pytest.mark.slow
 def test_a_run_becomes_jsbsims_turbine_and_what_that_cannot_hold_is_said(narxcal, run, tmp_path):
     pytest.importorskip("jsbsim", reason="needs jsbsim")
