@@ -22,9 +22,10 @@ all pairs and channels makes 5 % the probability of any false claim. A claim als
 RMSE over all rows.
 Of one flight a claim is about that flight.
 
-**Passes of Ti and Tt** are paired by transient. The mean difference over its standard error by
-flights (`training.folds.clustered`) is compared with Student's t; of a single flight, those that one
-model alone passes with a fair coin (McNemar's exact test). p is of the whole table, by Holm.
+**Passes of Ti and Tt** are paired by transient. Those that one model alone passes are compared with a
+fair coin (McNemar's exact test) and, of several flights, the mean difference over its standard error
+by flights (`training.folds.clustered`) with Student's t: the larger p counts, for few transients make
+the one uncertain and flights that differ the other. p is of the whole table, by Holm.
 
 `python -m eval.benchmarks.comparisons` measures false claims and power.
 """  # noqa: E501 -- a table
@@ -96,26 +97,26 @@ class PassDifference:
 
 def pass_differences(passed: Mapping[str, Sequence[FloatArray]]) -> list[PassDifference]:
     """Compare all pairs of models; `passed` has 1, 0 or NaN by transient, one array a flight."""
-    pairs, alone = list(combinations(passed, 2)), []
-    means = []
-    for first, second in pairs:
-        values = [a - b for a, b in zip(passed[first], passed[second], strict=True)]
-        known = np.concatenate([each[np.isfinite(each)] for each in values])
-        means.append(round(float(known.sum())))
-        mean, error, flights = clustered(values)
-        if not means[-1]:
-            alone.append(1.0)
-        elif flights > 1:
-            size = abs(mean) / error if error > 0.0 else np.inf
-            alone.append(float(2.0 * student.sf(size, flights - 1)))
-        else:
-            odd = int(np.count_nonzero(known))
-            alone.append(float(binomtest(int((known > 0.0).sum()), odd).pvalue))
+    pairs = list(combinations(passed, 2))
+    gained = [[a - b for a, b in zip(passed[i], passed[j], strict=True)] for i, j in pairs]
+    chances = _holm(np.array([_pass_p(each) for each in gained])).tolist()
     found = []
-    for (first, second), more, p in zip(pairs, means, _holm(np.array(alone)).tolist(), strict=True):
+    for (first, second), each, p in zip(pairs, gained, chances, strict=True):
+        more = round(float(np.nansum(np.concatenate(each))))
         better, worse = (first, second) if more >= 0 else (second, first)
         found.append(PassDifference(better, worse, abs(more), p))
     return found
+
+
+def _pass_p(gained: Sequence[FloatArray]) -> float:
+    """P of differences 1, 0, -1 or NaN by transient, one array a flight; the module says how."""
+    known = np.concatenate([each[np.isfinite(each)] for each in gained])
+    odd, won = int(np.count_nonzero(known)), int((known > 0.0).sum())
+    alone = float(binomtest(won, odd).pvalue) if odd else 1.0
+    mean, error, flights = clustered(gained)
+    if flights < 2 or error == 0.0:
+        return alone
+    return max(alone, float(2.0 * student.sf(abs(mean) / error, flights - 1)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,12 +14,13 @@ squared errors is penalised by
 
 so that half a flight keeps similarity, and several flights move it.
 
-**Engines.** Each deviates from the mean of all by sum_k c_k P_k(x), with Legendre polynomials up to
-`_DEGREE` over the range of the driver, normalised to a mean square of one. c_k is normal with the
+**Engines.** Each deviates from the mean of all by sum_k (c_k - mean c_k) P_k(x), with Legendre
+polynomials up to `_DEGREE` over the range of the driver, normalised to a mean square of one: what
+all have in common is the curve's. c_k is normal with the
 standard deviation t_k S_o, S_o being the scatter between engines of a type in output o
 (`training.levels`), and is penalised like the exponents. t_k is learned over engines and outputs:
 
-    t_k^2 = (p 4^-k + sum c_k^2 / S_o^2) / (p + n)
+    t_k^2 = (p 4^-k + sum (c_k - mean c_k)^2 / S_o^2) / (p + n),   n = (engines - 1) outputs
 
 with the prior of p logs that each degree has half the scatter of the one below. A single engine
 has none.
@@ -281,9 +282,11 @@ def _strengths(design: _Design, data: LinearData) -> FloatArray:
         count = len(design.engines) * (1 + _DEGREE)
         scatter = level * [prior_share(name) for name in names]
         own = first[:, -design.lines :][:, :count].reshape(len(names), -1, 1 + _DEGREE)
+        own = own - own.mean(axis=1, keepdims=True)
         shares = np.sum((own / scatter[:, None, None]) ** 2, axis=(0, 1))
         prior = PRIOR_LOGS * 4.0 ** -np.arange(1 + _DEGREE)
-        t = np.sqrt((prior + shares) / (PRIOR_LOGS + own[..., 0].size))
+        free = (len(design.engines) - 1) * len(names)  # their mean is the curve's
+        t = np.sqrt((prior + shares) / (PRIOR_LOGS + free))
         each = variance[:, None] / (scatter[:, None] * t) ** 2
         usual[:, :count] = np.tile(each, len(design.engines))
     for k, ratio in enumerate(design.layout.exponents):
@@ -354,7 +357,8 @@ class _Design:
         curve = (weights[:, :, None] * basis[:, None, :]).reshape(len(drive), -1)
         line = np.stack([np.ones_like(drive), scaled_driver(drive, self.knots)], axis=1)
         own = basis @ self.shapes
-        lines = [own * (names == engine)[:, None] for engine in self.engines]
+        mean = 1.0 / max(len(self.engines), 1)
+        lines = [own * ((names == engine) - mean)[:, None] for engine in self.engines]
         lines += [line * self.layout.column(inputs, name)[:, None] for name in self.layout.switches]
         shares = centred_ratios(self.layout.ratios(inputs), self.air_seen)
         lines += [line * share[:, None] for share in shares.T]
@@ -414,7 +418,10 @@ class _Design:
         engines = at + len(self.engines) * (1 + _DEGREE)
         count = len(coefficients)
         curve = coefficients[:, :at].reshape(count, self.corners, -1)
-        own = coefficients[:, at:engines].reshape(count, -1, 1 + _DEGREE) @ self.shapes.T
+        own = coefficients[:, at:engines].reshape(count, -1, 1 + _DEGREE)
+        if self.engines:
+            own = own - own.mean(axis=1, keepdims=True)
+        own = own @ self.shapes.T
         knots, curve = self._straight_on(curve)
         more = (len(knots) - len(self.knots)) // 2
         lines = coefficients[:, engines:].reshape(count, -1, 2).transpose(1, 0, 2)

@@ -6,6 +6,7 @@ import pytest
 from eval.benchmarks.comparisons import false_claims
 from eval.compare import Recording, Row, compare
 from eval.report.tables import comparison
+from eval.significance import pass_differences
 from narxcal.support.errors import DataError
 
 CHANNELS = ("N1_pct", "EGT_C")
@@ -129,3 +130,27 @@ def test_models_that_differ_by_rounding_are_not_different():
     one.outputs["again"] = one.outputs["first"] * (1.0 + 1e-14)
     found = compare([one], rows("first", "again", "bad"))
     assert {(d.better, d.worse) for d in found.significant} == {("first", "bad"), ("again", "bad")}
+
+
+def test_passes_of_one_flight_are_compared_by_those_that_one_model_alone_passes():
+    """McNemar: all of eight are those of one model, which a coin does in 1 of 128 cases."""
+    good, bad = np.ones(30), np.ones(30)
+    bad[:8], good[29] = 0.0, np.nan
+    (found,) = pass_differences({"bad": [bad], "good": [good]})
+    assert (found.better, found.worse, found.more) == ("good", "bad", 8)
+    assert found.p == pytest.approx(2.0 / 2**8)
+    assert found.significant
+    (same,) = pass_differences({"a": [good], "b": [good]})
+    assert (same.more, same.p) == (0, 1.0)
+
+
+def test_a_flight_that_one_model_fails_is_no_proof_against_it():
+    """Twelve transients of one flight fail together; the other three flights say nothing."""
+    every, fails = [np.ones(12) for _ in range(4)], [np.zeros(12), *(np.ones(12) for _ in range(3))]
+    (found,) = pass_differences({"good": every, "bad": fails})
+    assert found.more == 12
+    assert found.p > 0.3
+    steady = [np.r_[np.zeros(k), np.ones(12 - k)] for k in (4, 5, 4, 5)]
+    assert pass_differences({"good": every, "bad": steady})[0].significant
+    (few,) = pass_differences({"good": [np.ones(1)] * 2, "bad": [np.zeros(1)] * 2})
+    assert few.p == 0.5

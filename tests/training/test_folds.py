@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from data_prep.log import Log, Source
-from training.folds import geometric_rms, held_out_folds, log_folds, surely_below
+from training.folds import (
+    clearly_less,
+    clustered,
+    geometric_rms,
+    held_out_folds,
+    log_folds,
+    surely_below,
+)
 
 
 def test_each_recording_is_judged_once_and_stays_whole():
@@ -96,3 +103,28 @@ def test_a_log_of_few_samples_has_no_regions_that_hold_everything():
     for fold in log_folds([flight("a", 3)], power):
         assert fold.fitted
         assert fold.judged
+
+
+def test_the_error_of_a_mean_takes_flights_as_units():
+    rng = np.random.default_rng(0)
+    alike = [np.full(10, each) for each in rng.normal(size=6)]  # as one transient a flight
+    mean, error, pieces = clustered(alike)
+    values = np.array([each[0] for each in alike])
+    assert (mean, pieces) == (pytest.approx(values.mean()), 6)
+    assert error == pytest.approx(values.std(ddof=1) / np.sqrt(6))
+    apart = [np.array([x]) for x in rng.normal(size=40)]
+    assert clustered(apart)[1] == pytest.approx(np.std(apart, ddof=1) / np.sqrt(40))
+    holed = [np.array([1.0, np.nan]), np.array([np.nan]), np.array([3.0])]
+    assert clustered(holed)[::2] == (2.0, 2)
+    assert clustered([np.array([np.nan])])[1:] == (np.inf, 0)
+
+
+def test_a_piece_alone_decides_nothing_and_noise_seldom():
+    assert not clearly_less([np.full(100, -1.0)])
+    rng = np.random.default_rng(1)
+    draws = [
+        clearly_less([rng.normal(rng.normal(), 1.0, int(rng.integers(3, 9))) for _ in range(5)])
+        for _ in range(2000)
+    ]
+    assert np.mean(draws) == pytest.approx(0.16, abs=0.04)  # one standard error
+    assert clearly_less([rng.normal(-3.0, 1.0, 8) for _ in range(5)])

@@ -55,6 +55,39 @@ def test_a_known_curve_is_recovered():
     assert quality.rms["N1_pct"] < 0.2
 
 
+def engines(bends, count=600):
+    """Samples of engines whose N1 is off by a parabola over the lever, of this height each."""
+    found = []
+    for number, bend in enumerate(bends):
+        inputs = drawn(count, seed=number)
+        x = inputs[:, 0] / 40.0 - 1.0625  # -1 to 1 over the levers
+        outputs = truth(inputs)
+        outputs[:, 0] += bend * (1.0 - 2.0 * x**2)
+        outputs += np.random.default_rng(number).normal(size=outputs.shape) * [0.3, 3.0]
+        found.append(SteadySamples(inputs, outputs, f"e{number}"))
+    return found
+
+
+def test_each_engine_has_a_curve_of_its_own():
+    model, _ = fitted(*engines([1.5, -1.5]))
+    at = np.column_stack([np.linspace(10.0, 75.0, 14), *np.zeros((3, 14))])
+    apart = (model.for_engine("e0").outputs(at) - model.for_engine("e1").outputs(at))[:, 0]
+    x = at[:, 0] / 40.0 - 1.0625
+    np.testing.assert_allclose(apart, 3.0 * (1.0 - 2.0 * x**2), atol=0.3)
+
+
+@pytest.mark.parametrize(("count", "most"), [(600, 0.12), (30, 0.3)])
+def test_engines_that_do_not_differ_have_hardly_a_curve(count, most):
+    """Noise of 0.3 % alone tells them apart; without a prior few samples would say ten times so."""
+    model, _ = fitted(*engines([0.0, 0.0, 0.0], count))
+    at = np.column_stack([np.linspace(10.0, 75.0, 14), *np.zeros((3, 14))])
+    assert np.abs(model.for_engine("e0").outputs(at) - model.outputs(at))[:, 0].max() < most
+
+
+def test_a_single_engine_has_no_curve_of_its_own():
+    assert fitted(*engines([1.5]))[0].engine_curves.shape[0] == 0
+
+
 def test_noise_averages_out():
     inputs = drawn(3000)
     noise = np.random.default_rng(1).normal(size=(3000, 2)) * [1.0, 10.0]

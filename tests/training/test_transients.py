@@ -11,8 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from data_prep.events import Event
+from data_prep.log import Log
 from narxcal.support.errors import ConfigError, DataError
 from narxcal.support.files import finite
+from training.config import RunConfig
 from training.response import Transient
 from training.rules import RULES, compare_transients, rules, time_bands
 from training.transients import (
@@ -23,6 +25,7 @@ from training.transients import (
     assess_events,
     assessed,
     not_assessable,
+    responses,
     tally,
 )
 
@@ -423,3 +426,39 @@ def test_a_delay_of_whole_samples_is_found_in_spite_of_noise(seed, delay):
     noise = np.random.default_rng(seed).normal(0.0, 0.05, (2, 900))
     result = assess(log() + noise[0], log(delay=delay) + noise[1])
     assert all(one.verdict.Ti.ok is (delay <= 2) for one in result)
+
+
+@pytest.mark.parametrize(
+    ("late_s", "loss"), [(0.0, 0.0), (0.25, 0.25), (0.5, 0.4), (1.0, 0.5 / (1.0 + 1.0 / 16.0))]
+)
+def test_the_loss_of_a_delay_is_that_of_its_share_of_the_tolerance(late_s, loss):
+    """A delay of r tolerances of 0.25 s changes Ti alone: the mean with Tt is r^2 / 2 (1 + r^2)."""
+    time_s = 0.05 * np.arange(1200)
+    lever = np.where((time_s > 20.0) & (time_s < 40.0), 60.0, 20.0)
+
+    def response(delay_s):
+        y = np.empty_like(time_s)
+        y[0] = 20.0
+        moved = np.interp(time_s - delay_s, time_s, lever)
+        for k in range(1, len(y)):
+            y[k] = y[k - 1] + (1.0 - np.exp(-0.05)) * (moved[k] - y[k - 1])
+        return y
+
+    flight = response(0.0)
+    log = Log("a", time_s, {"TRA_deg": lever, "N1_pct": flight, "EGT_C": 5.0 * flight})
+    model = np.column_stack([response(late_s), np.full(len(time_s), 400.0)])
+    config = RunConfig.parse({"steady_state": {"inputs": ["TRA_deg"]}})
+    found = responses(log, model, ("N1_pct", "EGT_C"), config)
+    assert len(found.rows) == 2
+    assert found.losses[:, 0] == pytest.approx([loss] * 2, abs=0.02)
+    assert found.passed[:, 0].tolist() == [float(late_s <= 0.25)] * 2
+    assert np.isnan(found.losses[:, 1]).all()  # [evaluate] judges speeds
+
+
+def test_a_model_that_does_not_respond_has_loss_one():
+    time_s = 0.05 * np.arange(1200)
+    lever = np.where(time_s > 20.0, 60.0, 20.0)
+    log = Log("a", time_s, {"TRA_deg": lever, "N1_pct": lever})
+    config = RunConfig.parse({"steady_state": {"inputs": ["TRA_deg"]}})
+    found = responses(log, np.full((1200, 1), 20.0), ("N1_pct",), config)
+    assert (found.losses.tolist(), found.passed.tolist()) == ([[1.0]], [[0.0]])
