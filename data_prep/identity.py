@@ -27,13 +27,14 @@ import math
 import zlib
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
 
 import numpy as np
 from scipy import fft
 
 from narxcal.channels import CHANNELS, described
-from narxcal.support.arrays import FloatArray, bridge_gaps, noise_level
+from narxcal.support.arrays import FloatArray, IntArray, bridge_gaps, noise_level
 from narxcal.support.errors import DataError, ModelError
 from narxcal.support.moments import stamp
 
@@ -54,6 +55,7 @@ _SPAN_S: Final = 0.5
 _ORDER: Final = 4
 _AFTER: Final = 4  # spans after a large movement
 _WINDOW, _WINDOWS, _SHORTEST = 256, 4, 40  # rows of a stretch, stretches of a log, rows in common
+_LIKELY: Final = 3  # shifts that sums over channels suggest
 _STRETCHES: Final = (1.0, 0.995, 1.005, 0.99, 1.01, 0.985, 1.015, 0.98, 1.02)
 
 
@@ -78,36 +80,34 @@ class Identity:
     def of(cls, time_s: FloatArray, channels: Mapping[str, FloatArray]) -> Self:
         """Identify canonical channels (time,) at increasing times; NaN where nothing is known."""
         span_s = max(_SPAN_S, 0.5 * float(np.median(np.diff(time_s)))) if len(time_s) > 1 else 1.0
-        names, moves = _moves(time_s, channels, _middles(time_s, span_s))
-        moves = np.rint(_PARTS * moves) / _PARTS
-        return cls(_digest(len(time_s), channels), names, span_s, moves)
+        moves = _Recorded(time_s, channels).moves(span_s, 0.0)
+        table = np.column_stack([*moves.values()]) if moves else np.empty((0, 1))
+        table = np.rint(_PARTS * table) / _PARTS
+        return cls(_digest(len(time_s), channels), tuple(moves), span_s, table)
 
-    def within(self, log: Log, *, outputs: bool = False) -> Overlap | None:
+    def within(
+        self, log: Log, *, outputs: bool = False, recorded: _Recorded | None = None
+    ) -> Overlap | None:
         """Where `log`, as recorded, is the flight of this log; None where it is not.
 
-        `outputs` compares outputs alone.
+        `outputs` compares outputs alone; `recorded` are the samples of `log`, where many are asked.
         """
         time_s = log.time_s
         if self.digest == log.identity.digest:
             return Overlap(1.0, float(time_s[0]), float(time_s[-1]))
-        names = [
-            name
-            for name in self.channels
-            if name in log.channels and not (outputs and described(name).role != "output")
-        ]
-        if not names:
-            return None
-        given = {name: log.channels[name] for name in names}
-        for stretch in _STRETCHES:
-            for late in (0.0, 1.0 / 3.0, 2.0 / 3.0):
-                middles = _middles(time_s, self.span_s * stretch, late)
-                found, moves = _moves(time_s, given, middles)
-                if not found:
-                    return None
-                own = self.moves[:, [self.channels.index(name) for name in found]]
-                shift = _shift(own, moves, whole=stretch == 1.0)
-                if shift is not None:
-                    return _overlap(own, moves, shift, middles)
+        recorded = recorded or _Recorded(time_s, log.channels)
+        names = [n for n in self.channels if not (outputs and described(n).role != "output")]
+        for stretch, late in product(_STRETCHES, (0.0, 1.0 / 3.0, 2.0 / 3.0)):
+            span_s = self.span_s * stretch
+            moves = recorded.moves(span_s, late)
+            common = [name for name in names if name in moves]
+            if not common:
+                return None
+            own = self.moves[:, [self.channels.index(name) for name in common]]
+            other = np.column_stack([moves[name] for name in common])
+            shift = _shift(own, other, whole=stretch == 1.0)
+            if shift is not None:
+                return _overlap(own, other, shift, _middles(time_s, span_s, late))
         return None
 
     def to_json(self) -> dict[str, Any]:
@@ -138,41 +138,48 @@ def _middles(time_s: FloatArray, span_s: float, late: float = 0.0) -> FloatArray
     return np.arange(time_s[0] + (0.5 + late) * span_s, time_s[-1] - 0.5 * span_s, span_s)
 
 
-def _moves(
-    time_s: FloatArray, channels: Mapping[str, FloatArray], middles: FloatArray
-) -> tuple[tuple[str, ...], FloatArray]:
-    """Small movements (spans - 4, channels) of the channels that have some, and their names."""
-    found: dict[str, FloatArray] = {}
-    for name in _ordered(channels) if len(middles) > _SHORTEST else ():
-        if described(name).role not in {"time", "switch"}:
-            moves = _small(time_s, channels[name], middles)
-            found |= {} if moves is None else {name: moves}
-    return tuple(found), np.column_stack([*found.values()]) if found else np.empty((0, 1))
+class _Recorded:
+    """Channels of a log as recorded; their small movements are taken over spans of any length."""
 
+    def __init__(self, time_s: FloatArray, channels: Mapping[str, FloatArray]) -> None:
+        self.time_s = time_s
+        self._interval_s = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 1.0
+        self._channels: dict[str, tuple[FloatArray, FloatArray, float]] = {}
+        for name in _ordered(channels):
+            known = bridge_gaps(channels[name])
+            noise = noise_level(known)
+            counts = described(name).role not in {"time", "switch"} and np.isfinite(known).all()
+            if counts and noise > _RESOLUTION * float(np.abs(known).max()):
+                steps = 0.5 * np.diff(time_s) * (known[1:] + known[:-1])
+                lost = (~np.isfinite(channels[name])).astype(np.float64)
+                self._channels[name] = np.concatenate([[0.0], np.cumsum(steps)]), lost, noise
+        self._known: dict[tuple[float, float], dict[str, FloatArray]] = {}
 
-def _small(time_s: FloatArray, values: FloatArray, middles: FloatArray) -> FloatArray | None:
-    """Small movements of one channel; None where they are not those of noise."""
-    known = bridge_gaps(values)
-    if not np.isfinite(known).all():
-        return None
-    span_s = float(middles[1] - middles[0])
-    area = np.concatenate([[0.0], np.cumsum(0.5 * np.diff(time_s) * (known[1:] + known[:-1]))])
-    ends = np.concatenate([middles - 0.5 * span_s, [middles[-1] + 0.5 * span_s]])
-    bends = np.diff(np.interp(ends, time_s, area), 1 + _ORDER) / span_s
-    lost = np.interp(middles[2:-2], time_s, (~np.isfinite(values)).astype(np.float64)) > 0.0
-    in_span = max(1.0, span_s / float(np.median(np.diff(time_s))))
-    size = noise_level(known) * math.sqrt(math.comb(2 * _ORDER, _ORDER) / in_span)
-    if size <= _RESOLUTION * float(np.abs(known).max()):
-        return None
-    # What follows a large movement decays through the small ones.
-    large = np.convolve(np.abs(bends) > _LARGEST * size, np.ones(1 + _AFTER))[: len(bends)] > 0.5
-    kept = np.where(large | lost, 0.0, bends)
-    spread = math.sqrt(float(np.mean(kept[kept != 0.0] ** 2))) if kept.any() else 1.0
-    kept = np.clip(kept / spread, -15.0, 15.0)  # a byte of eighths
-    follow = float(kept[1:] @ kept[:-1])
-    if not kept.any() or follow > _FOLLOW * float(kept @ kept):
-        return None
-    return kept
+    def moves(self, span_s: float, late: float) -> Mapping[str, FloatArray]:
+        """Small movements (spans - 4,) of the channels that have some, by name."""
+        if (span_s, late) not in self._known:
+            middles = _middles(self.time_s, span_s, late)
+            enough = len(middles) > _SHORTEST
+            found = {n: self._small(n, middles, span_s) for n in (self._channels if enough else ())}
+            kept = {name: moves for name, moves in found.items() if moves is not None}
+            self._known[span_s, late] = kept
+        return self._known[span_s, late]
+
+    def _small(self, name: str, middles: FloatArray, span_s: float) -> FloatArray | None:
+        """Small movements of one channel; None where they are not those of noise."""
+        area, gaps, noise = self._channels[name]
+        ends = np.concatenate([middles - 0.5 * span_s, [middles[-1] + 0.5 * span_s]])
+        bends = np.diff(np.interp(ends, self.time_s, area), 1 + _ORDER) / span_s
+        lost = np.interp(middles[2:-2], self.time_s, gaps) > 0.0
+        in_span = max(1.0, span_s / self._interval_s)
+        size = noise * math.sqrt(math.comb(2 * _ORDER, _ORDER) / in_span)
+        # What follows a large movement decays through the small ones.
+        large = np.convolve(np.abs(bends) > _LARGEST * size, np.ones(1 + _AFTER))[: len(bends)]
+        kept = np.where((large > 0.5) | lost, 0.0, bends)
+        spread = math.sqrt(float(np.mean(kept[kept != 0.0] ** 2))) if kept.any() else 1.0
+        kept = np.clip(kept / spread, -15.0, 15.0)  # a byte of eighths
+        follow = float(kept[1:] @ kept[:-1])
+        return kept if kept.any() and follow <= _FOLLOW * float(kept @ kept) else None
 
 
 def _shift(own: FloatArray, other: FloatArray, *, whole: bool) -> int | None:
@@ -192,29 +199,47 @@ def _shift(own: FloatArray, other: FloatArray, *, whole: bool) -> int | None:
 
 
 def _peak(long: FloatArray, short: FloatArray) -> int | None:
-    """The row of `long` where `short` begins, if z is beyond chance there; negative before it."""
+    """The row of `long` where `short` begins, if z is beyond chance there; negative before it.
+
+    Where sums over the channels, of turning signs so that what moves all cancels, suggest no shift
+    at which the movements are alike, the channels are not correlated one by one.
+    """
+    signs = (-1.0) ** np.arange(long.shape[1])[:, None]
+    shifts, z = _scores(long @ signs, short @ signs)
+    likely = shifts[np.argsort(z)[-_LIKELY:]].tolist()
+    if not any(_alike(long, short, shift) >= _ALIKE for shift in likely):
+        return None
+    shifts, z = _scores(long, short)
+    best = int(np.argmax(z))
+    if not z[best] > _SURE:
+        return None
+    spread = max(1.0, float(np.median(np.abs(z[z != 0.0]))) / 0.6745)
+    shift = int(shifts[best])
+    return shift if z[best] > _SURE * spread and _alike(long, short, shift) >= _ALIKE else None
+
+
+def _scores(long: FloatArray, short: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Shifts of `short` in `long` (rows, channels) and z at each; 0 with too little in common."""
     size = fft.next_fast_len(len(long) + len(short), real=True)
     over = min(_SHORTEST, len(short), len(long))
     shifts = np.arange(over - len(short), len(long) - over + 1)
 
-    def product(a: FloatArray, b: FloatArray) -> FloatArray:
+    def correlated(a: FloatArray, b: FloatArray) -> FloatArray:
         spectrum = fft.rfft(a, size, axis=0) * np.conj(fft.rfft(b, size, axis=0))
         return np.asarray(fft.irfft(spectrum.sum(axis=1), size)[shifts])
 
-    common = product(long**2, short**2)
+    common = correlated(long**2, short**2)
     enough = common > over
-    if not enough.any():
-        return None
-    z = np.where(enough, product(long, short), 0.0) / np.sqrt(np.where(enough, common, 1.0))
-    spread = max(1.0, float(np.median(np.abs(z[enough]))) / 0.6745)
-    best = int(np.argmax(z))
-    if z[best] <= _SURE * spread:
-        return None
-    shift = int(shifts[best])
+    root = np.sqrt(np.where(enough, common, 1.0))
+    return shifts, np.where(enough, correlated(long, short), 0.0) / root
+
+
+def _alike(long: FloatArray, short: FloatArray, shift: int) -> float:
+    """Correlation over all channels where `short` begins in this row of `long`."""
     a, b = long[max(0, shift) : shift + len(short)], short[max(0, -shift) : len(long) - shift]
     a, b = np.where(b != 0.0, a, 0.0), np.where(a != 0.0, b, 0.0)
-    alike = float(np.sum(a * b)) / math.sqrt(float(np.sum(a**2)) * float(np.sum(b**2)))
-    return shift if alike >= _ALIKE else None
+    size = math.sqrt(float(np.sum(a**2)) * float(np.sum(b**2)))
+    return float(np.sum(a * b)) / size if size > 0.0 else 0.0
 
 
 def _overlap(own: FloatArray, other: FloatArray, shift: int, middles: FloatArray) -> Overlap:
@@ -272,13 +297,15 @@ def duplicates(logs: Sequence[Log]) -> list[Shared]:
 
 def first_shared(log: Log, others: Iterable[tuple[str, Source, Identity]]) -> Shared | None:
     """The first of `others` (name, source, identity) whose samples are in `log`; None of none."""
+    recorded = None
     for name, source, identity in others:
         own = log.source
         engines = bool(source.engine and own.engine) and source.engine != own.engine
         parts = bool(own.file) and source.file == own.file and name != log.name
         if parts or (engines and source.sha256 == own.sha256):
             continue
-        overlap = identity.within(log, outputs=engines)
+        recorded = recorded or _Recorded(log.time_s, log.channels)
+        overlap = identity.within(log, outputs=engines, recorded=recorded)
         if overlap is not None:
             return Shared(log.name, name, overlap)
     return None
