@@ -174,9 +174,9 @@ class TrainConfig(Section):
     0 means none; with `rest_far` there are more of them, they begin at large deviations, and the
     second half of each is scored.
     With `emphasis = "motion"` transients weigh more than equilibrium, their onset most, and low
-    power more than high. Each output is a mixture of network, lags, first-order lag and ARX, with
-    weights by held-out parts of the training logs (see `training.mixture`); `choice_s` are the
-    nominal CPU seconds that these may take, 0 for the network alone.
+    power more than high. Held-out parts of the training logs say which model leads a speed, and
+    with which weights the models are mixed in another output (see `training.mixture`); `choice_s`
+    are the nominal CPU seconds that these may take, 0 for the network alone.
     `delay_s` is the transport delay of the driver, found on held-out logs where it is "auto".
     """
 

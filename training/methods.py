@@ -2,7 +2,7 @@
 
 | [identify] method | steady state | dynamics |
 |---|---|---|
-| narx | fitted or the maker's | lags, network, mixture with simple models |
+| narx | fitted or the maker's | lags, network, choice between them and simple models |
 | output-error, transfer, subspace | the same | `training.identify` |
 | static:NAME | the law of that name | none |
 

@@ -40,7 +40,7 @@ def test_a_delay_is_found_where_there_is_one(delay_s):
         assert found.delay is None
     else:
         assert found.delay.channels == ("TRA_deg",)
-        # A lag of half a second, which plain lags lack, stands beside it.
+        # The engine also has a lag of half a second, which plain lags lack.
         assert found.delay.delay_s == pytest.approx(delay_s, abs=0.25)
         assert found.delay.low_s <= found.delay.delay_s <= found.delay.high_s
 
