@@ -148,7 +148,11 @@ def fit_engine(
     engine, table = start_engine(output_names, form, scales_of(samples, input_names))
     weights = _weights(samples, engine, form, dt_s)
     full = 2.0 * engine.half[engine.core]
-    rows = [moving(one.ss[:, engine.core], full, dt_s) for one in samples]
+    core, span_s = [one.ss[:, engine.core] for one in samples], _MOVES_S
+    rows = [moving(ss, full, dt_s) for ss in core]
+    while not any(moves.any() for moves in rows) and span_s < max(map(len, core)) * dt_s:
+        span_s *= 2.0  # an engine that nobody moves fast
+        rows = [moving(ss, full, dt_s, span_s) for ss in core]
     if not any(moves.any() for moves in rows):
         raise DataError(
             "the outputs never move, so no lag can be fitted",
@@ -188,10 +192,10 @@ def scales_of(samples: Sequence[LagSamples], input_names: Sequence[str]) -> dict
     }
 
 
-def moving(ss: FloatArray, full: float, dt_s: float) -> BoolArray:
+def moving(ss: FloatArray, full: float, dt_s: float, span_s: float = _MOVES_S) -> BoolArray:
     """Rows (time,) in and around the moves of a steady-state value `ss` whose range is `full`."""
     around = max(round(_AROUND_S / dt_s), 1)
-    moves = peak_to_peak(ss, max(round(_MOVES_S / dt_s), 2)) > _MOVING * full
+    moves = peak_to_peak(ss, max(round(span_s / dt_s), 2)) > _MOVING * full
     rows: BoolArray = binary_dilation(moves, iterations=around)
     return rows
 

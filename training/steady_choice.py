@@ -61,9 +61,9 @@ from training.steady_fit import SteadyQuality, SteadySamples, fit_steady_state, 
 
 _BETTER = 0.9  # of the residual of the usual answer
 _SWITCH = float(-np.log(0.97))  # of ln residual
-# Share of the driver's range with settled samples. Curves go on straight beyond them for as much
-# again ([steady_state.fit] reach), so that of less than half not even that reaches the rest.
-_LEAST_SETTLED = 0.5
+# Share of the driver's range that settled samples span. Curves go on straight for as much again on
+# either side ([steady_state.fit] reach): less than a third does not reach the rest from anywhere.
+_LEAST_SETTLED = 1.0 / 3.0
 _ROWS = 2000  # of a log; enough to choose by
 _FOLDS = 5
 _BLENDED = ("Mach", "ALT_ft")  # the usual one first

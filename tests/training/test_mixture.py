@@ -136,7 +136,7 @@ def held(log, errors, whole=True, losses=()):
         ([0.2, 0.2, 0.2, 0.2, 0.2], [1.0, 0.9, 0.5, 1.0, 1.0], LAGS),  # ties by RMSE
         ([0.2, 0.3, 0.2, 0.2, 0.2], [1.0, 0.9, 0.5, 1.0, 1.0], 0),
         ([0.2, 0.2, 0.1, 0.2, 0.2], [1.0, 1.0, 2.0, 1.0, 1.0], SIMPLE),
-        ([np.nan] * 5, [1.0, 1.0, 0.5, 0.5, 0.5], 0),
+        ([np.nan] * 5, [1.0, 1.0, 0.5, 0.5, 0.5], LAGS),  # nothing judged
     ],
 )
 def test_response_times_choose_who_leads_a_speed(losses, errors, leader):
@@ -149,6 +149,17 @@ def test_response_times_choose_who_leads_a_speed(losses, errors, leader):
     missing = ALL.copy()
     missing[1:] = False
     assert leader_of(flights, 0, missing) == 0
+
+
+def test_a_simple_model_leads_by_whole_recordings_alone():
+    losses, errors = [0.2, 0.2, 0.1, 0.2, 0.2], np.ones(5)
+    regions = [held(str(k), errors, whole=False, losses=[losses] * 3) for k in range(3)]
+    flights = [
+        held(f"{k}", errors, losses=[np.array(losses) + 0.01 * k * (np.arange(5) == 2)] * 3)
+        for k in range(3)
+    ]
+    assert leader_of(regions, 0, ALL) == 0
+    assert leader_of([*regions, *flights], 0, ALL) == SIMPLE
 
 
 def test_one_flight_that_a_model_does_better_on_does_not_make_it_lead():
