@@ -219,6 +219,20 @@ def _fit_lag(runs: Sequence[Run], k: int, dt_s: float) -> tuple[float, float]:
     return push_s, pull_s
 
 
+def lag_errors(fitted: Sequence[Run], judged: Sequence[Run], dt_s: float) -> list[FloatArray]:
+    """Free-run errors (time, n_out) of first-order lags over other runs than those fitted to."""
+    outputs = range(fitted[0].steady.shape[1])
+    times = [_fit_lag(fitted, k, dt_s) for k in outputs]
+    both = FirstOrderLag(tuple(push for push, _ in times), tuple(pull for _, pull in times))
+    lags = [both.member(k, dt_s) for k in outputs]
+    found = []
+    for run in judged:
+        firsts = [start_of(run.steady, run.measured[0], k) for k in outputs]
+        free = [lag.simulate(run.steady, first) for lag, first in zip(lags, firsts, strict=True)]
+        found.append(np.stack(free, axis=1) - run.measured)
+    return found
+
+
 class _Deviation(NamedTuple):
     """Deviation (time,) of an output from its steady value, NaN where masked, and its start.
 

@@ -48,13 +48,14 @@ from data_prep.equilibrium import quasi_steady
 from data_prep.log import Log
 from data_prep.prepare import hold_inputs
 from narxcal.channels import CHANNELS, described, spools_of
-from narxcal.steady.fitted import RATIOS, Layout
+from narxcal.steady.fitted import RATIOS, FittedSteadyState, Layout
 from narxcal.steady.model import SteadyStateModel
 from narxcal.steady.opening import open_steady
 from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import DataError
+from training.baselines import Run, lag_errors
 from training.config import RunConfig, SteadyFitConfig
-from training.folds import geometric_rms, held_out_folds, regions, surely_below
+from training.folds import geometric_rms, held_out_folds, regions, surely_below, thirds
 from training.levels import PRIOR_LOGS, prior_scatter
 from training.records import LEAST_WIDTHS
 from training.steady_fit import SteadyQuality, SteadySamples, fit_steady_state, linear_problem
@@ -99,15 +100,50 @@ def steady_state(
         names = (section.inputs, config.narx.outputs)
         return open_steady(section.kind, section.source, names, base, section.options), None
     layout = chosen_layout(config, logs)
-    samples = [_samples(config, layout, log) for log in logs]
+    settled = [_samples(config, layout, log) for log in logs]
     moving = [_moving(layout, log) for log in logs]
-    settled, every = (
-        layout.drive(np.concatenate([one.inputs for one in each])) for each in (samples, moving)
-    )
-    share = _width(settled) / max(_width(every), 1e-12)
-    few = share < _LEAST_SETTLED
-    model, quality = fit_steady_state(moving if few else samples, layout, section.fit)
-    return model, replace(quality, coverage=min(share, 1.0))
+    widths = [
+        _width(layout.drive(np.concatenate([one.inputs for one in each])))
+        for each in (settled, moving)
+    ]
+    share = min(widths[0] / max(widths[1], 1e-12), 1.0)
+    in_motion = share < _LEAST_SETTLED and _follows_better_in_motion(config, layout, logs)
+    samples = moving if in_motion else settled
+    model, quality = fit_steady_state(samples, layout, section.fit)
+    return model, replace(quality, coverage=share)
+
+
+def _follows_better_in_motion(config: RunConfig, layout: Layout, logs: Sequence[Log]) -> bool:
+    """Whether curves fitted to the motion follow what is held out clearly better.
+
+    Of recordings, or thirds of one, by the free run of a first-order lag behind either curve. Where
+    settled samples are too few for a curve in every fold, the motion has to do.
+    """
+    parts, folds = thirds(logs)
+    ratios = []
+    for fold in folds:
+        fitted, judged = fold.of(parts)
+        try:
+            settled = _error_behind_lag(config, layout, (fitted, judged), moving=False)
+        except DataError:
+            continue
+        ratios.append(_error_behind_lag(config, layout, (fitted, judged), moving=True) - settled)
+    return not ratios or bool(surely_below(np.array(ratios)))
+
+
+def _error_behind_lag(
+    config: RunConfig, layout: Layout, part: tuple[list[Log], list[Log]], *, moving: bool
+) -> float:
+    """Logarithm of the free-run error over logs by curves and lags fitted to others."""
+    fitted, judged = part
+    samples = [_moving(layout, log) if moving else _samples(config, layout, log) for log in fitted]
+    model, _ = fit_steady_state(samples, layout, config.steady_state.fit)
+    runs, others = ([_run(model, _moving(layout, log)) for log in some] for some in part)
+    return float(np.log(geometric_rms(lag_errors(runs, others, judged[0].dt_s))))
+
+
+def _run(model: FittedSteadyState, log: SteadySamples) -> Run:
+    return Run(model.for_engine(log.engine).outputs(log.inputs), log.outputs)
 
 
 def _width(drive: FloatArray) -> float:
