@@ -199,7 +199,7 @@ def _fitted_rates(
     # Where runs show nothing a spool must still come to rest: it crosses its range in half the time
     # after which it is read.
     slowest = (ends[1] - ends[0]) / (0.5 * _AFTER_S)
-    fit = least_squares(residual, start, bounds=np.log([slowest, 200.0]), max_nfev=40)
+    fit = least_squares(residual, start, bounds=(np.log(slowest), np.log(200.0)), max_nfev=40)
     up, down = np.exp(fit.x).reshape(2, -1)
     return nodes, up, down
 
