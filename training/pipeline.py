@@ -163,36 +163,36 @@ def _calibrated(config: RunConfig, base: Path, split: Split, options: TrainOptio
     learned = learnable(split, config, screen=not options.screened)
     options.progress(0, 1, "fitting the steady state")
     found = method_of(config)(config, base, learned, options)
-    steady_fit, calibration, entries = found.steady_fit, found.calibration, dict(found.entries)
-    split, held = steady_fit.split, found.held
-    held = held or free_runs(calibration, split.validate)
-    calibration = calibration.with_interval(interval_of(held, calibration.output_names))
-    calibration = calibration.reaching(*input_reach(split.train, calibration.input_names))
+    steady_fit, split, entries = found.steady_fit, found.steady_fit.split, found.entries
     options.progress(0, 1, "holding inputs constant")
-    lags = Baselines.from_json(entries["baselines"]).lags(calibration.dt_s)
-    calibration, certificate, lost = settling(calibration, lags)
-    if lost:
-        # Where only a decay bound was added, the held-out runs without it stand in.
-        lead = calibration.members.members == lags
-        held = (found.held_lags if lead else held) or free_runs(calibration, split.validate)
-        calibration = calibration.with_interval(interval_of(held, calibration.output_names))
-        entries["training"]["status"] = "; ".join([entries["training"]["status"], *lost])
-    entries["training"]["wall_s"] = time.perf_counter() - began
+    lags = Baselines.from_json(entries["baselines"]).lags(found.calibration.dt_s)
+    reach = input_reach(split.train, found.calibration.input_names)
+    calibration, certificate, lost = settling(found.calibration.reaching(*reach), lags)
+    # Where only a decay bound was added, the held-out runs without it stand in.
+    lead = bool(lost) and calibration.members.members == lags
+    held = (found.held_lags if lead else found.held) or free_runs(calibration, split.validate)
+    trained = free_runs(calibration, split.train)
+    training = {
+        **entries["training"],
+        "status": "; ".join([entries["training"]["status"], *lost]),
+        "wall_s": time.perf_counter() - began,
+    }
     record = RunRecord(
         **_provenance(config, base, split),
         config=steady_fit.resolved.model_dump(mode="json", by_alias=True),
         steady_state=_steady_record(steady_fit.quality, steady_fit.steady),
-        **entries,
-        free_run=free_run_fit(calibration, split.train),
-        fuser_noise=fuser_noise(calibration, split, held).to_dict(),
+        **{**entries, "training": training},
+        free_run=free_run_fit(calibration, trained),
+        fuser_noise=fuser_noise(calibration, split, held, trained).to_dict(),
         screening=ScreeningRecord.parse(steady_fit.learned.row()),
         redundancy=redundancy_of(calibration, learned.train),
         certificate=certificate,
         identities=identities,
-        held_out=_held_out_record(calibration, split, held),
+        held_out=_held_out_record(calibration, held or trained, fitted=not held),
         delay=DelayRecord(found=steady_fit.late.delay, ln_error=steady_fit.late.errors),
     )
-    return Bundle(calibration.with_delay(steady_fit.late.delay), record)
+    interval = interval_of(held, calibration.output_names)
+    return Bundle(calibration.with_interval(interval).with_delay(steady_fit.late.delay), record)
 
 
 def input_reach(logs: Sequence[Log], names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
@@ -215,18 +215,13 @@ def redundancy_of(calibration: Calibration, logs: Sequence[Log]) -> dict[str, An
     return None if bank is None else bank.to_json()
 
 
-def free_run_fit(calibration: Calibration, logs: Sequence[Log]) -> FitRecord:
-    """Samples, RMSE per output and AIC of the free run over the training logs.
+def free_run_fit(calibration: Calibration, trained: Sequence[HeldRun]) -> FitRecord:
+    """Samples, RMSE per output and AIC of the free runs over the training logs.
 
     AIC = sum_j N_j ln mse_j + 2 (parameters + outputs), with errors taken as white: compare it
     between models of the same logs and outputs alone. None where an output has no error.
     """
-    errors = []
-    for log in logs:
-        own = calibration_for(calibration, log)
-        measured = log.matrix(own.output_names)
-        errors.append(own.simulate(log.matrix(own.input_names), measured[0]) - measured)
-    error = np.concatenate(errors)
+    error = np.concatenate([one.model - one.measured for one in trained])
     count = np.isfinite(error).sum(axis=0)
     mse = np.nanmean(error**2, axis=0)
     names = calibration.output_names
@@ -296,17 +291,18 @@ def interval_of(held: Sequence[HeldRun], names: Sequence[str]) -> HalfWidths | N
     return joined(found, np.array(scatter))
 
 
-def fuser_noise(calibration: Calibration, split: Split, held: Sequence[HeldRun] = ()) -> NoiseModel:
-    """Estimate the fuser's noise from held-out free runs, or those of validation or training logs.
+def fuser_noise(
+    calibration: Calibration, split: Split, held: Sequence[HeldRun], trained: Sequence[HeldRun]
+) -> NoiseModel:
+    """Estimate the fuser's noise from held-out free runs, with those over training logs if need be.
 
     The logs are smoothed, while online the fuser gets raw measurements: the measurement noise is
     therefore at least what smoothing removed.
     """
     outputs = calibration.output_names
-    held = held or free_runs(calibration, split.validate)
     measured = np.concatenate([one.measured for one in held]) if held else np.full((1, 1), np.nan)
     if not np.isfinite(measured).any(axis=0).all():
-        held = [*held, *free_runs(calibration, split.train)]
+        held = [*held, *trained]
     found = estimate_noise(
         [one.measured for one in held], [one.model for one in held], calibration.dt_s
     )
@@ -358,14 +354,14 @@ def _identities(split: Split) -> tuple[IdentityRecord, ...]:
 
 
 def _held_out_record(
-    calibration: Calibration, split: Split, held: Sequence[HeldRun]
+    calibration: Calibration, held: Sequence[HeldRun], *, fitted: bool
 ) -> HeldOutRecord:
-    """Errors on held-out logs; of the training logs where nothing was held out."""
-    runs = _held_errors(held or free_runs(calibration, split.train))
+    """Errors on held-out logs, or on those `fitted` to."""
+    runs = _held_errors(held)
     error = [np.sqrt(known_mean(errors**2)) for _, errors in runs]
     columns = zip(calibration.output_names, np.stack(error).T.tolist(), strict=True)
     return HeldOutRecord(
-        logs=tuple(one.piece for one, _ in runs), fitted=not held, rmse=dict(columns)
+        logs=tuple(one.piece for one, _ in runs), fitted=fitted, rmse=dict(columns)
     )
 
 

@@ -25,6 +25,7 @@ from training.pipeline import (
     calibrate,
     calibration_for,
     configured_files,
+    free_runs,
     fuser_noise,
     input_reach,
     prepare_logs,
@@ -162,7 +163,9 @@ def test_the_stored_noise_is_that_of_rows_as_they_are_recorded(bundle):
     """Logs are smoothed for training; a fuser that believed them would follow its sensors."""
     model, log = bundle.calibration, flight(seed=7, samples=4000)
     logs = [smooth(log, SmoothConfig(window=window)) for window in (1, 5)]
-    noises = [fuser_noise(model, Split((), (each,), ())) for each in logs]
+    noises = [
+        fuser_noise(model, Split((), (each,), ()), free_runs(model, [each]), ()) for each in logs
+    ]
     for noise in noises:
         np.testing.assert_allclose(noise.measurement_variance, [0.05**2, 0.5**2], rtol=0.1)
     measured = log.matrix(model.output_names)
@@ -351,10 +354,13 @@ def test_what_smoothing_took_is_that_of_the_logs_that_record_the_channel():
     lacking = Split((usual[0], without(usual[1], "EGT_C")), (), ()).with_outputs(
         ("N1_pct", "EGT_C")
     )
-    found = fuser_noise(bundle.calibration, lacking)
+    model = bundle.calibration
+    trained = free_runs(model, lacking.train)
+    found = fuser_noise(model, lacking, (), trained)
     assert found.measurement_variance[1] >= usual[0].noise["EGT_C"]
     stopped_by = Split(lacking.train, lacking.train[1:], ())
-    assert fuser_noise(bundle.calibration, stopped_by).measurement_variance[1] > 0.0
+    found = fuser_noise(model, stopped_by, free_runs(model, stopped_by.validate), trained)
+    assert found.measurement_variance[1] > 0.0
 
 
 def test_an_output_that_no_training_log_records_is_refused():
