@@ -30,7 +30,6 @@ from narxcal.calibration.identified import IdentifiedCalibration
 from narxcal.lumped.engine import LumpedEngine
 from narxcal.narx.network import NarxModel
 from narxcal.record import Record
-from narxcal.steady.fitted import FittedSteadyState
 from narxcal.steady.model import SteadyStateModel
 from narxcal.support.errors import ModelError
 from narxcal.support.files import atomic_write_bytes
@@ -51,7 +50,7 @@ from training.network import (
 )
 from training.optimisers import Damping, Moments
 from training.records import Split, material, structure_of
-from training.steady_choice import contradicting, steady_state, without
+from training.steady_choice import contradicting, steady_state, with_layout, without
 from training.steady_fit import SteadyQuality
 from training.transport import DelayChoice, choose_delay, delayed
 
@@ -77,6 +76,7 @@ class TrainOptions:
 class SteadyFit:
     """A steady state, the logs `split` it was fitted to, with complete inputs, and its settings.
 
+    Nothing of the steady state is "auto" any more in `config`.
     `learned` says what of the logs was left out, `late` which delay of the driver was taken off.
     `quality` is None of a steady state that was not fitted.
     """
@@ -87,15 +87,6 @@ class SteadyFit:
     steady: SteadyStateModel
     quality: SteadyQuality | None = None
     late: DelayChoice = field(default_factory=DelayChoice)
-
-    @property
-    def resolved(self) -> RunConfig:
-        """The configuration with the layout of the fitted steady state in the place of "auto"."""
-        if not isinstance(self.steady, FittedSteadyState):
-            return self.config
-        layout = self.steady.layout
-        names = ("blend", "switches", "corrected", "exponents", "driver")
-        return self.config.having(steady_state={name: getattr(layout, name) for name in names})
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,16 +122,19 @@ def method_of(config: RunConfig) -> Method:
 def _fit_steady(config: RunConfig, base: Path, learned: Learnable, progress: Progress) -> SteadyFit:
     """Fit or open the steady state, without logs that contradict the others and without delay."""
     split = learned.split.with_outputs(config.narx.outputs)
-    spoilt = contradicting(config, split.train)
-    split = replace(split, train=without(split.train, spoilt))
+    chosen = with_layout(config, split.train)
+    spoilt = contradicting(chosen, split.train)
+    if spoilt:
+        split = replace(split, train=without(split.train, spoilt))
+        chosen = with_layout(config, split.train)
     learned = replace(learned, split=split, contradicting=tuple(spoilt))
-    steady, quality = steady_state(config, base, split.train)
+    steady, quality = steady_state(chosen, base, split.train)
     split = split.held(steady.input_names)
-    late = choose_delay(config, steady, split.train, progress)
+    late = choose_delay(chosen, steady, split.train, progress)
     if late.delay is not None:
         split = split.changed(lambda log: delayed(log, late.delay))
-        steady, quality = steady_state(config, base, split.train)
-    return SteadyFit(config, learned, split, steady, quality, late)
+        steady, quality = steady_state(chosen, base, split.train)
+    return SteadyFit(chosen, learned, split, steady, quality, late)
 
 
 def _narx(
@@ -149,7 +143,7 @@ def _narx(
     """Fit lags and network, weigh them and simple models; the configuration has the lags' form."""
     steady_fit = _fit_steady(config, base, learned, options.progress)
     steady, split = steady_fit.steady, steady_fit.split
-    config, choice = choose_form(config, steady, split.train, options.progress)
+    config, choice = choose_form(steady_fit.config, steady, split.train, options.progress)
     steady_fit = replace(steady_fit, config=config)
     options.progress(0, 1, "fitting the lags")
     lag = fit_lags(config, steady, split.train)
@@ -176,7 +170,7 @@ def _mixture(
     options: TrainOptions,
 ) -> Mixture:
     """Weights of all models in each output, by folds of the training logs and refits to each."""
-    config, split = steady_fit.resolved, steady_fit.split
+    config, split = steady_fit.config, steady_fit.split
     calibration, _ = whole
     if config.train.choice_s == 0.0:
         return network_alone(calibration, "no choice: choice_s = 0")
@@ -287,7 +281,7 @@ class _OnSteadyState:
         steady_fit = _fit_steady(config, base, learned, options.progress)
         options.progress(0, 1, f"identifying by {config.identify.method}")
         return _identification(
-            steady_fit, self.fit(config, steady_fit.steady, steady_fit.split.train)
+            steady_fit, self.fit(steady_fit.config, steady_fit.steady, steady_fit.split.train)
         )
 
 

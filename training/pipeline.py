@@ -179,7 +179,7 @@ def _calibrated(config: RunConfig, base: Path, split: Split, options: TrainOptio
     }
     record = RunRecord(
         **_provenance(config, base, split),
-        config=steady_fit.resolved.model_dump(mode="json", by_alias=True),
+        config=steady_fit.config.model_dump(mode="json", by_alias=True),
         steady_state=_steady_record(steady_fit.quality, steady_fit.steady),
         **{**entries, "training": training},
         free_run=free_run_fit(calibration, trained),

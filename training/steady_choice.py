@@ -176,6 +176,15 @@ def _log_of(log: Log) -> str:
     return f"{name}:{log.source.engine}" if log.source.engine else name
 
 
+def with_layout(config: RunConfig, logs: Sequence[Log]) -> RunConfig:
+    """The configuration with the layout that the logs suggest in the place of "auto"."""
+    if config.steady_state.kind != "fitted":
+        return config
+    layout = chosen_layout(config, logs)
+    names = ("blend", "switches", "corrected", "exponents", "driver")
+    return config.having(steady_state={name: getattr(layout, name) for name in names})
+
+
 def chosen_layout(config: RunConfig, logs: Sequence[Log]) -> Layout:
     """What the fitted model is to be: as configured, and by the logs where that says "auto"."""
     section = config.steady_state
