@@ -8,10 +8,13 @@ dm, its weight g and the standard deviation S of dm, the residuals are
     g (d - dm) / S        one sample in `_EVERY_S`
     c (theta - start) / unit,    c = prior soft sqrt(n / per)      n: number of those samples
 
-| form | scored | weight g | fitted together |
-|---|---|---|---|
-| limited | stretches in which the core moves | 0.3 / swing | each column |
-| governed | whole logs, for heat shows long after a move | 1 / level, down to 0.4 | core and fan |
+The weight g is 0.3 over the swing where the core moves, so that each response is judged by its own
+size, and 1 elsewhere.
+
+| form | scored | fitted together |
+|---|---|---|
+| plain, limited | stretches in which the core moves | each column |
+| governed | whole logs, for heat shows long after a move | core and fan |
 
 Core and fan of a governed engine close a loop. Otherwise the core comes first, since the others
 follow it; its limits depend on the fan, which is taken as measured meanwhile.
@@ -66,7 +69,6 @@ _MOVING: Final = 0.03  # of the core's range within some seconds: the core moves
 _MOVES_S, _AROUND_S = 5.0, 1.0  # what moves within these seconds is scored, and around
 _SWING_S: Final = 15.0  # a response with its settling
 _LEAST_SWING, _USUAL_SWING = 0.05, 0.3  # shares of the output's range; the latter has weight 1
-_LEVEL: Final = (0.4, 1.0)  # shares of the largest value; below, weights grow no more
 _ROUNDS: Final = 3  # of lags and static error, each found with the other; more change little
 
 PLAIN, LIMITS, GOVERNED = "plain", "limits", "governed"
@@ -146,7 +148,6 @@ def fit_engine(
     input_names, output_names = names
     samples, dt_s = thinned(samples, dt_s)
     engine, table = start_engine(output_names, form, scales_of(samples, input_names))
-    weights = _weights(samples, engine, form, dt_s)
     full = 2.0 * engine.half[engine.core]
     core, span_s = [one.ss[:, engine.core] for one in samples], _MOVES_S
     rows = [moving(ss, full, dt_s) for ss in core]
@@ -161,7 +162,8 @@ def fit_engine(
         )
     parts = [
         _part(engine, one, input_names, weight, np.ones_like(moves) if form.governed else moves)
-        for one, weight, moves in zip(samples, weights, rows, strict=True)
+        for one, moves in zip(samples, rows, strict=True)
+        for weight in [_weight(one, engine, moves, dt_s)]
     ]
     with ThreadPoolExecutor(threads) as pool:  # compiled runs release Python's lock
         first = 2 if form.governed else 1
@@ -205,18 +207,11 @@ def _zero_if_unknown(deviations: FloatArray) -> FloatArray:
     return np.where(np.isfinite(deviations).any(axis=0), deviations, 0.0)
 
 
-def _weights(
-    samples: Sequence[LagSamples], engine: LumpedEngine, form: Form, dt_s: float
-) -> list[FloatArray]:
-    """Weights g (time, n_out) of the errors of each log."""
-    known = [np.where(np.isfinite(one.measured), one.measured, one.ss) for one in samples]
-    if form.governed:
-        largest = np.max([np.abs(values).max(axis=0) for values in known], axis=0)
-        levels = [np.abs(values) / np.maximum(largest, 1e-9) for values in known]
-        return [1.0 / np.clip(level, *_LEVEL) for level in levels]
-    size = max(round(_SWING_S / dt_s), 2)
-    shares = [peak_to_peak(values, size) / (2.0 * engine.half) for values in known]
-    return [_USUAL_SWING / np.maximum(share, _LEAST_SWING) for share in shares]
+def _weight(one: LagSamples, engine: LumpedEngine, moves: BoolArray, dt_s: float) -> FloatArray:
+    """Weights g (time, n_out) of the errors of a log."""
+    known = np.where(np.isfinite(one.measured), one.measured, one.ss)
+    share = peak_to_peak(known, max(round(_SWING_S / dt_s), 2)) / (2.0 * engine.half)
+    return np.where(moves[:, None], _USUAL_SWING / np.maximum(share, _LEAST_SWING), 1.0)
 
 
 class _Part(NamedTuple):
