@@ -275,9 +275,11 @@ def test_evaluate_says_that_no_log_was_held_out(project, narxcal, tmp_path):
     )
     save_bundle(tmp_path / "run", replace(bundle, record=record))
     done = narxcal("evaluate", tmp_path / "run", "--quiet")
-    assert done.err == (
-        "narxcal: warning: no log was held out: these are logs that the model was trained on\n"
+    first, level = done.err.splitlines()
+    assert first == (
+        "narxcal: warning: no log was held out: these are logs that the model was trained on"
     )
+    assert "is not judged: fewer than 3 training logs were held out" in level
     assert done.out == ""
 
 
