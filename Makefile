@@ -14,7 +14,9 @@ DOCS := $(VENV)/.docs
 # Most of what is installed is never imported: Python compiles what is, at its first import.
 PIP := $(BIN)/python -m pip install --disable-pip-version-check --no-compile --quiet -c constraints.txt
 
-PYTEST = OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loadfile --durations=20 --durations-min=5
+# Files in their order: else those of few and long tests come last, and one worker waits for the other.
+PYTEST = OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loadfile \
+	--no-loadscope-reorder --durations=20 --durations-min=5
 
 .PHONY: demo test test-slow test-all docs fuzz lint ruff types floors bench figures clean
 
@@ -29,7 +31,7 @@ test: $(STAMP)
 	$(PYTEST) -m "not slow"
 
 test-slow: $(STAMP) $(BROWSER)
-	$(PYTEST) -m slow
+	$(PYTEST) -m slow $$(grep -rl 'mark\.slow' tests --include='test_*.py' | sort)
 
 test-all: test test-slow
 
@@ -38,8 +40,10 @@ docs: $(DOCS)
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/sphinx-build --jobs 2 --fail-on-warning --keep-going --quiet docs docs/_build/html
 	@echo "Open docs/_build/html/index.html"
 
-# Changed logs, configurations and models against the readers: make fuzz N=1000 SEED=7.
+# Changed logs, configurations and models against the readers, and properties of drawn values, of
+# which `make test` has a few that are always the same: make fuzz N=1000 SEED=7.
 fuzz: $(STAMP)
+	$(PYTEST) -m "hypothesis and not slow" --hypothesis-profile=drawn --hypothesis-seed=$(or $(SEED),1)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.fuzz --cases $(or $(N),100000) --seed $(or $(SEED),1)
 
 lint: ruff types floors

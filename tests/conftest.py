@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 from narxcal.atmosphere import air_state
 from narxcal.export import ExportOptions, Grid, export_table
@@ -25,9 +25,12 @@ from narxcal.steady.function import SteadyCallable
 from narxcal.turbofan import VirtualEngine
 from narxcal.turbofan.engine import INPUT_NAMES
 
-# A busy machine is no failure.
-settings.register_profile("patient", deadline=None, derandomize=True)
-settings.load_profile("patient")
+# A busy machine is no failure, and a clone has the draws of every other one; a few of them, for
+# what is drawn anew, and more, is `make fuzz`.
+PATIENT = settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+settings.register_profile("same", PATIENT, derandomize=True, max_examples=25)
+settings.register_profile("drawn", PATIENT, max_examples=400, print_blob=True)
+settings.load_profile("same")
 
 # The shortest flight there is; a piece begins on the initial climb, where the lever is busy.
 WHOLE_S, FROM_S = 480.0, 40.0

@@ -248,6 +248,7 @@ def test_a_log_that_is_named_twice_is_judged_once(project, narxcal, tmp_path):
     assert "fewer than 3 training logs were held out" in level
 
 
+@pytest.mark.usefixtures("training")
 def test_train_warns_of_patterns_that_name_no_log_and_of_logs_that_are_in_no_set(
     project, narxcal, tmp_path
 ):
@@ -265,16 +266,20 @@ def test_train_warns_of_patterns_that_name_no_log_and_of_logs_that_are_in_no_set
 
 @pytest.mark.usefixtures("undrawn")
 def test_evaluate_says_that_no_log_was_held_out(project, narxcal, tmp_path):
-    text = (project / "tiny.toml").read_text("utf-8")
-    text = text.replace('flight_[1-2].csv*"]\ntest = ["flight_3.csv*', "*").replace(
-        'folder = "flights"', f'folder = "{project / "flights"}"'
+    bundle = load_bundle(project / "run")
+    stored, every = bundle.record.to_json(), {"train": ["*"], "validate": [], "test": []}
+    record = bundle.record.having(
+        config={**stored["config"], "split": every},
+        split={**every, "train": [row["log"] for row in stored["identities"]]},
+        identities=[{**row, "role": "train"} for row in stored["identities"]],
     )
-    (tmp_path / "all.toml").write_text(text, "utf-8")
-    assert narxcal("train", tmp_path / "all.toml", "--out", tmp_path / "run", "--quiet").code == 0
+    save_bundle(tmp_path / "run", replace(bundle, record=record))
     done = narxcal("evaluate", tmp_path / "run", "--quiet")
-    assert done.err == (
-        "narxcal: warning: no log was held out: these are logs that the model was trained on\n"
+    first, level = done.err.splitlines()
+    assert first == (
+        "narxcal: warning: no log was held out: these are logs that the model was trained on"
     )
+    assert "is not judged: fewer than 3 training logs were held out" in level
     assert done.out == ""
 
 
@@ -393,76 +398,6 @@ def test_stamps_of_a_clock_that_counts_since_1970_keep_their_fractions(project, 
         np.testing.assert_allclose(stamps.diff().dropna(), 0.125, rtol=0, atol=1e-4)
 
 
-def test_simulate_reads_the_recorder_s_columns_by_the_mapping_of_the_model(
-    narxcal, write_pieces, maker_table, tmp_path
-):
-    """Train on a recorder with two engines and its own names, then simulate its inputs alone."""
-    recorded(write_pieces(tmp_path / "flights", seed=5, flights=2), tmp_path, maker_table)
-    assert narxcal("train", tmp_path / "two.toml", "--out", tmp_path / "run", "--quiet").code == 0
-    flight = pd.read_csv(tmp_path / "flights" / "flight_2.csv")
-    inputs = tmp_path / "inputs.csv"
-    outputs = [name for name in flight if name.endswith(("_fan", "_core", "_itt"))]
-    flight.drop(columns=outputs).to_csv(inputs, index=False)
-    assert narxcal("simulate", tmp_path / "run", inputs, "--out", tmp_path / "out.csv").code == 0
-    table = pd.read_csv(tmp_path / "out.csv")
-    assert set(table["engine"]) == {"left", "right"}
-    assert table["time_s"].is_monotonic_increasing
-
-
-def recorded(paths, folder, maker_table, engines=("lh", "rh")):
-    """Flights as a recorder with names of its own would write them, both engines alike."""
-    shared = ["ALT_ft", "Mach", "dT_C", "WOW", "Approach", "ECS", "NAI", "WAI"]
-    own = {"TRA_deg": "lever", "N1_pct": "fan", "N2_pct": "core", "EGT_C": "itt"}
-    for path in paths:
-        log = pd.read_csv(path)
-        table = log[["time_s", *shared]].rename(columns={"time_s": "clock"})
-        for engine in engines:
-            for name, column in own.items():
-                table[f"{engine}_{column}"] = log[name]
-        table.to_csv(path, index=False)
-    names = "\n".join(f'{name} = {{ column = "{name}" }}' for name in shared)
-    text = TWO_ENGINES.replace("COLUMNS", names).replace("MAKER", maker_table["source"])
-    (folder / "two.toml").write_text(text, "utf-8")
-
-
-TWO_ENGINES = """\
-schema = "narxcal.config/1"
-name = "two engines"
-
-[logs]
-folder = "flights"
-raster_hz = 8.0
-
-[logs.engines]
-left = "lh_"
-right = "rh_"
-
-[logs.columns]
-time_s = { column = "clock" }
-TRA_deg = { column = "{engine}lever" }
-N1_pct = { column = "{engine}fan" }
-N2_pct = { column = "{engine}core" }
-EGT_C = { column = "{engine}itt" }
-COLUMNS
-
-[split]
-train = ["flight_1.csv*"]
-
-[narx]
-lag = false
-
-[train]
-horizons_s = [5.0]
-iterations = [1]
-threads = 1
-
-[steady_state]
-kind = "table"
-source = "MAKER"
-inputs = ["TRA_deg", "ALT_ft", "Mach", "dT_C", "WOW", "Approach"]
-"""
-
-
 def test_replay_writes_prediction_fused_value_and_flags(project, narxcal, tmp_path):
     out = tmp_path / "replayed.csv"
     log = project / "flights" / "flight_3.csv"
@@ -481,8 +416,11 @@ def test_replay_writes_prediction_fused_value_and_flags(project, narxcal, tmp_pa
 
 @pytest.mark.slow
 def test_crossval_writes_folds_and_page(project, narxcal, tmp_path):
-    out = tmp_path / "folds"
-    done = narxcal("crossval", project / "tiny.toml", "--out", out, "--jobs", "1", "--json")
+    out, quick = tmp_path / "folds", tmp_path / "quick.toml"
+    text = (project / "tiny.toml").read_text("utf-8")
+    quick.write_text(text.replace("[2, 2]", "[2, 2]\nchoice_s = 0.0\ndelay_s = 0.0"), "utf-8")
+    data = ("--data", project / "flights")
+    done = narxcal("crossval", quick, *data, "--out", out, "--jobs", "1", "--json")
     assert done.code == 1
     document = strict(done.out)
     assert document == strict((out / "crossval.json").read_text("utf-8"))

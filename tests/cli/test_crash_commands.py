@@ -1,9 +1,8 @@
-"""Every writing command killed at every one of its file events: the old output or the new one.
+"""A training that loses power at any of its file events; the fit is done once and given again.
 
-What takes long and writes no file (fitting, flying, judging) is done once and given again.
+Files and folders of results: tests/support/test_crash.py; kills in any order: test_runs_machine.py.
 """
 
-import json
 import shutil
 from dataclasses import replace
 
@@ -11,14 +10,13 @@ import numpy as np
 import pytest
 
 from narxcal.calibration.bundle import load_bundle, write_bundle
-from narxcal.cli import evaluate, fly, main
-from narxcal.flight_test import fly as flying
+from narxcal.cli import main
 from tests.crash import killed_everywhere
 from training.methods import write_checkpoint
 from training.network import TrainingState
 
 pytestmark = pytest.mark.slow
-HOW = pytest.mark.parametrize(("exchange", "power"), [(True, False), (True, True), (False, True)])
+HOW = pytest.mark.parametrize("exchange", [True, False])
 WHOLE_RUN = ["bundle.json", "weights.safetensors"]
 
 
@@ -32,24 +30,16 @@ def names(folder):
     return sorted(item.name for item in folder.iterdir())
 
 
-def tree(out):
-    """Content of a file, or of all files of a folder, by path."""
-    files = (path for path in (out, *out.rglob("*")) if path.is_file())
-    return {str(path.relative_to(out.parent)): path.read_bytes() for path in files}
-
-
 def quietly(*words):
     assert main([*map(str, words), "--quiet"]) in {0, 1}
 
 
 @HOW
-def test_a_training_killed_anywhere_is_resumed_to_the_same_model(
-    training, tmp_path, exchange, power
-):
+def test_a_training_cut_off_anywhere_is_resumed_to_the_same_model(training, tmp_path, exchange):
     run = tmp_path / "run"
     kills = 0
     for event in killed_everywhere(
-        tmp_path, lambda: quietly(*training, run), exchange=exchange, power=power
+        tmp_path, lambda: quietly(*training, run), exchange=exchange, power=True
     ):
         if (run / "bundle.json").exists():
             load_bundle(run)
@@ -63,9 +53,7 @@ def test_a_training_killed_anywhere_is_resumed_to_the_same_model(
 
 
 @HOW
-def test_going_on_with_a_training_may_be_killed_anywhere(
-    project, training, tmp_path, exchange, power
-):
+def test_going_on_with_a_training_may_be_cut_off_anywhere(project, training, tmp_path, exchange):
     """What Ctrl-C kept, its best network and its checkpoints, is there until the new model is."""
     run, kept = tmp_path / "run", tmp_path.with_name(f"{tmp_path.name}-kept")
     trained = load_bundle(project / "run")
@@ -76,7 +64,7 @@ def test_going_on_with_a_training_may_be_killed_anywhere(
     shutil.copytree(kept, run)
     seen = set()
     for event in killed_everywhere(
-        tmp_path, lambda: quietly(*training, run, "--resume"), exchange=exchange, power=power
+        tmp_path, lambda: quietly(*training, run, "--resume"), exchange=exchange, power=True
     ):
         seen.add(load_bundle(run).record.interrupted)
         quietly(*training, run, "--resume")
@@ -86,62 +74,3 @@ def test_going_on_with_a_training_may_be_killed_anywhere(
             shutil.rmtree(run)
             shutil.copytree(kept, run)
     assert seen == {True, False}
-
-
-def replaced_or_not(folder, write, how):
-    """Kill `write`, which replaces `out` in `folder`, everywhere: its whole content or the old."""
-    out = folder / "out"
-    write()
-    new = tree(out)
-    former = {name: text + b"\n" for name, text in new.items()}
-    seen = []
-
-    def put_former():
-        for name, text in former.items():
-            (folder / name).write_bytes(text)
-
-    put_former()
-    for event in killed_everywhere(folder, write, exchange=how[0], power=how[1]):
-        if out.exists() or how[0]:
-            assert tree(out) in (former, new)
-            seen.append(tree(out) == new)
-        write()
-        assert tree(out) == new
-        assert names(folder) == ["out"]
-        if event is not None:
-            put_former()
-    assert set(seen) == {True, False}
-
-
-@HOW
-def test_results_of_an_evaluation(project, tmp_path, monkeypatch, exchange, power):
-    found = evaluate.Report(None, type("Outcome", (), {"exit_code": 0}), DOCUMENT, "<p>a: b</p>")
-    monkeypatch.setattr(evaluate, "logs_for", lambda *_: [])
-    monkeypatch.setattr(evaluate, "judge", lambda *_: found)
-    monkeypatch.setattr(evaluate, "show", lambda *_: None)
-    command = ("evaluate", project / "run", "--out", tmp_path / "out")
-    replaced_or_not(tmp_path, lambda: quietly(*command), (exchange, power))
-
-
-DOCUMENT = {"schema": "narxcal.evaluate/1", "logs": []}
-
-
-@HOW
-def test_logs_of_virtual_flights(tmp_path, monkeypatch, exchange, power):
-    log = flying._Written("flight_01_left.csv", b"time_s: 1\n" * 500, b"true: 1\n" * 500, {})
-    monkeypatch.setattr(flying, "in_processes", lambda *_: iter([[log]]))
-    monkeypatch.setattr(flying, "_truth", lambda *_: {"schema": fly.TRUTH_SCHEMA, "logs": []})
-    monkeypatch.setattr(fly, "_show", lambda *_: None)
-    command = ("fly", "fly_line", "--truth-channels", "--out", tmp_path / "out")
-    replaced_or_not(tmp_path, lambda: quietly(*command), (exchange, power))
-
-
-@HOW
-def test_a_replayed_log(project, tmp_path, monkeypatch, exchange, power):
-    monkeypatch.setattr("narxcal.cli.replay._findings", lambda *_: ())
-    table = (project / "flights" / "flight_3.csv").read_text(encoding="utf-8").splitlines()
-    log = tmp_path.with_name(f"{tmp_path.name}.csv")
-    log.write_text("\n".join(table[:400]), encoding="utf-8")
-    command = ("replay", project / "run", log, "--overwrite", "--out", tmp_path / "out")
-    replaced_or_not(tmp_path, lambda: quietly(*command), (exchange, power))
-    assert json.loads((project / "run/bundle.json").read_text(encoding="utf-8"))["sha256"]

@@ -90,6 +90,14 @@ def test_a_turboprop_from_its_recorder_file_to_c(tmp_path, narxcal):
     replayed = pd.read_csv(out)
     truth = flown(3)["torque"]
     assert np.sqrt(np.mean((replayed["Torque_Nm_fused"] - truth) ** 2)) < 100.0
+    bare, made = tmp_path / "inputs.csv", tmp_path / "simulated.csv"
+    measured = ("NG", "ITT", "Prop", "Torque", "SHP")
+    table = pd.read_csv(log)
+    known = [name for name in table if not name.startswith(measured)]
+    table[known].to_csv(bare, index=False)
+    assert narxcal("simulate", run, bare, "--out", made).code == 0
+    runs = pd.read_csv(made)["Torque_Nm"], replayed["Torque_Nm_free_run"]
+    np.testing.assert_allclose(*(run[-800:] for run in runs), rtol=1e-3)  # they start apart
 
     done = narxcal("export", run, "--to", "onnx", "--out", tmp_path / "model.onnx", "--json")
     assert done.code == 0

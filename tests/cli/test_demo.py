@@ -12,6 +12,7 @@ from eval.evaluate import evaluate
 from eval.run_logs import run_config
 from narxcal import NarxcalError, load_bundle
 from narxcal.cli.app import main
+from tests.golden.test_golden import lost
 
 pytestmark = pytest.mark.slow
 RATE_HZ = 32
@@ -27,6 +28,11 @@ def demonstration(tmp_path_factory):
 def test_the_demonstration_needs_no_files_and_ends_with_a_page(demonstration):
     assert json.loads((demonstration / "demo.json").read_text("utf-8"))["complete"] is True
     assert (demonstration / "evaluate" / "evaluate.html").is_file()
+    documents = {
+        file.relative_to(demonstration).as_posix(): json.loads(file.read_text("utf-8"))
+        for file in demonstration.rglob("*.json")
+    }
+    assert lost("of_demo", documents.items()) == []
 
 
 def share(t):
@@ -95,6 +101,8 @@ MADE_ANEW = {
 
 
 def changed(table, way):
+    if way == SOUND:
+        return table
     if way in MADE_ANEW:
         return MADE_ANEW[way](table)
     channel, change = CHANGED[way]
@@ -102,12 +110,19 @@ def changed(table, way):
     return table.assign(**{channel: change(values, time_s)})
 
 
-@pytest.mark.parametrize("way", [*CHANGED, *MADE_ANEW])
-def test_no_way_to_an_undeserved_pass(demonstration, tmp_path, way):
-    bundle = load_bundle(demonstration / "run", trust=True)
+SOUND = "as they were flown"
+
+
+@pytest.fixture(scope="module")
+def bundle(demonstration):
+    return load_bundle(demonstration / "run", trust=True)
+
+
+@pytest.mark.parametrize("way", [SOUND, *CHANGED, *MADE_ANEW])
+def test_no_way_to_an_undeserved_pass(demonstration, bundle, tmp_path, way):
     config, _ = run_config(bundle)
     files = []
-    for number in (14, 15, 16):
+    for number in (14,):
         (flight,) = (demonstration / "flights").glob(f"flight_{number}_*")
         files.append(tmp_path / f"new_{number}.csv")
         changed(pd.read_csv(flight, comment="#"), way).to_csv(files[-1], index=False)
@@ -116,5 +131,5 @@ def test_no_way_to_an_undeserved_pass(demonstration, tmp_path, way):
         found = evaluate(bundle, logs)
     except NarxcalError:  # refused
         return
-    assert found.outcome.exit_code == 1
-    assert found.outcome.lines
+    assert found.outcome.exit_code == (way != SOUND)
+    assert found.outcome.lines or way == SOUND

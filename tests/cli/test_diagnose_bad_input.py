@@ -189,16 +189,3 @@ def test_one_short_flight_gets_no_firm_answer(flights, narxcal, tmp_path):
     assert document["verdict"]["effects"] == []
     assert document["verdict"]["reason"].startswith("one flight of less than 10 minutes is no")
     assert said == "narxcal: warning: 1 flight: the uncertainty is wider\n"
-
-
-@pytest.mark.slow
-def test_a_channel_that_is_not_on_both_sides_is_left_out_and_said(flights, narxcal, tmp_path):
-    words = flights(lambda _, real, sim: (real.assign(FF_kgph=300.0), sim.drop(columns="EGT_C")))
-    document, said = answered(narxcal, words, tmp_path / "gap")
-    assert list(document["shrink"]["channels"]) == ["N1_pct", "N2_pct"]
-    assert document["verdict"]["kind"] == "none"
-    assert "warning: EGT_C is recorded but not simulated: it is left out" in said
-    assert document["quality"]["warnings"] == [
-        "EGT_C is recorded but not simulated: it is left out",
-        "FF_kgph is recorded but not simulated: it is left out",
-    ]

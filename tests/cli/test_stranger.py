@@ -21,6 +21,8 @@ inputs = ["TRA_deg", "ALT_ft"]
 [train]
 horizons_s = [30.0]
 iterations = [2]
+choice_s = 0.0
+delay_s = 0.0
 """
 SAID = "{}: there is no WOW channel: events on the ground count like those in flight"
 
@@ -100,10 +102,9 @@ def test_a_folder_in_the_place_of_a_log(folder, project, narxcal):
     refused(narxcal("replay", project / "run", logs, "--out", folder / "out.csv"), message)
 
 
-def test_resuming_what_never_began_is_said(folder, narxcal):
-    run = folder / "run"
-    (folder / "mine.toml").write_text(CONFIG + "[narx]\nlag = false\n", "utf-8")
-    done = narxcal("train", folder / "mine.toml", "--out", run, "--resume", "--quiet")
+def test_resuming_what_never_began_is_said(training, tmp_path, narxcal):
+    run = tmp_path / "run"
+    done = narxcal(*training, run, "--resume", "--quiet")
     assert done.code == 0
     said = f"narxcal: warning: nothing to resume in {run}: the training begins anew\n"
     assert done.err.startswith(said)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -38,7 +38,6 @@ def log_of(**channels):
 
 
 @pytest.mark.parametrize("method", METHODS)
-@settings(max_examples=25)
 @given(seed=st.integers(0, 1000))
 def test_isolated_spikes_are_repaired_and_counted(method, seed):
     rng = np.random.default_rng(seed)

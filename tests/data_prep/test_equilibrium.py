@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from data_prep.equilibrium import QuasiSteadyConfig, RunningConfig, quasi_steady, while_running
@@ -56,7 +56,6 @@ def test_a_log_without_its_driver_is_never_steady():
     assert not still(log(np.full(30, np.nan), np.full(30, 40.0))).any()
 
 
-@settings(max_examples=40)
 @given(
     seed=st.integers(0, 999),
     window_s=st.sampled_from([1.0, 3.0, 6.0]),

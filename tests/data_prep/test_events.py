@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from data_prep.events import EventsConfig, find_events, needs_condition
@@ -170,7 +170,6 @@ def test_start_of_a_clean_ramp_is_exact(start, length, change):
     assert event.label == (0 if change > 0 else 1)
 
 
-@settings(max_examples=60)
 @given(seed=st.integers(0, 10_000), length=st.integers(2, 200), noise=st.sampled_from([0.02, 0.1]))
 def test_start_of_a_noisy_ramp_is_found_within_two_samples(seed, length, noise):
     rng = np.random.default_rng(seed)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from data_prep.clean import CleanConfig, clean
@@ -407,7 +407,6 @@ def test_a_complete_log_is_left_as_it_is():
     assert hold_inputs(given_, ["Mach", "TRA_deg"]) is given_
 
 
-@settings(max_examples=50)
 @given(values=st.lists(st.one_of(st.just(NAN), st.floats(-1e3, 1e3)), min_size=2, max_size=30))
 def test_known_samples_stay_and_none_is_unknown(values):
     known = np.isfinite(values)

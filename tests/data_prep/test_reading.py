@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from data_prep import units
@@ -17,7 +17,6 @@ from data_prep.reading import read_logs, shared_interval_s
 from narxcal.support.errors import ConfigError, DataError, NarxcalError
 
 ROOT = Path(__file__).parents[2]
-SHARED = ROOT.parent / "shared" / "data"
 
 
 def write(folder, text, name="log.csv"):
@@ -430,9 +429,6 @@ def test_a_comma_seen_late_is_still_a_decimal_mark(tmp_path):
     assert log["N1_pct"][-1] == 50.5
 
 
-@settings(
-    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
 @given(
     values=st.lists(
         st.floats(-1e9, 1e9, allow_nan=False).map(lambda value: round(value, 6)),
@@ -461,9 +457,6 @@ cells = st.sampled_from(
 )  # fmt: skip
 
 
-@settings(
-    max_examples=400, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
 @given(
     content=st.one_of(
         st.binary(max_size=200),
@@ -511,9 +504,6 @@ def test_a_row_with_a_missing_field_is_masked_and_never_shifted(tmp_path):
     assert counts(log, "EGT_C") == {("filled", "blank"): 3}
 
 
-@settings(
-    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
 @given(lost=st.dictionaries(st.integers(1, 38), st.integers(0, 3), max_size=6))
 def test_whatever_field_is_missing_no_value_gets_into_another_column(tmp_path, lost):
     rows = [[f"{k / 10}", f"{80 + k / 10}", f"{500 + k}", f"{2000 + k}"] for k in range(40)]

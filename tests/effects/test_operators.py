@@ -168,7 +168,7 @@ def test_play_is_the_loop_written_out():
     np.testing.assert_array_equal(over(play, x, 2 * half), y)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.floats(0.1, 3.0), st.integers(1, 12))
 def test_play_does_not_know_how_fast_it_is_pushed(width, slower):
     corners = np.array([0.0, 5.0, 1.0, 4.0, -3.0, 2.0])

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
@@ -29,7 +29,6 @@ def projection(series, prior, changes):
     return inverse - inverse @ x @ np.linalg.solve(x.T @ inverse @ x, x.T @ inverse)
 
 
-@settings(max_examples=25, deadline=None)
 @given(
     seed=st.integers(0, 10**6),
     variance=st.sampled_from([0.8, 1e-9]),

@@ -18,6 +18,7 @@ from narxcal.calibration.bundle import load_bundle, save_bundle
 from narxcal.cli import main
 from narxcal.support.addresses import Folder
 from narxcal.support.files import log_csv
+from narxcal.support.parallel import WorkerDied
 
 CONFIG = 'schema = "narxcal.fleet/1"\nflights = "{flights}"\nrun = "{run}"\nbatch = 2\n'
 FLIGHTS = {"N1": 3, "N2": 2, "_3": 1}
@@ -113,6 +114,26 @@ def test_a_log_that_fails_is_a_row_and_the_others_are_evaluated(fleet, grow):
     assert failed["size"].to_dict() == {"N1/bad.csv": 17, "N2/none.csv": 0}
     assert (logs["status"] == "good").sum() == sum(FLIGHTS.values())
     assert "narxcal: warning: N2/none.csv: the file is empty. Expected" in found.err
+
+
+def test_a_log_of_which_workers_die_is_a_row(fleet, grow, monkeypatch):
+    """Of a batch in which they die each file is tried alone."""
+
+    def dying(work, items, *_, **__):
+        for item in items:  # files to be listed, then batches
+            if any(file.name == "N1/f0.csv" for file in getattr(item, "files", ())):
+                raise WorkerDied(item, "4 workers died with the same work")
+            yield work(item)
+
+    grow()
+    whole = pd.read_parquet(fleet / "F" / "logs").set_index("file")
+    monkeypatch.setattr("eval.fleet.in_processes", dying)
+    assert grow("G").code == 0
+    logs = pd.read_parquet(fleet / "G" / "logs").set_index("file")
+    row = logs.loc["N1/f0.csv"]
+    assert (row["status"], row["reason"]) == ("failed", "4 workers died with the same work")
+    others = logs.drop("N1/f0.csv"), whole.drop("N1/f0.csv")
+    pd.testing.assert_frame_equal(*others, check_dtype=False)
 
 
 def test_the_same_bytes_count_once(fleet, grow):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.signal import lfilter
@@ -36,7 +36,6 @@ def slow_correlation(u, e, lags):
     stretch=st.integers(1, 30),
     seed=st.integers(0, 1000),
 )
-@settings(deadline=None, max_examples=40)
 def test_fast_correlation_is_the_slow_one(length, lags, gaps, stretch, seed):
     """Logs of any length, also shorter than the lags, with gaps."""
     rng = np.random.default_rng(seed)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from eval.trim import PRIORS, OffsetPrior, TrimConfig, TrimSamples, estimate_trim
@@ -93,7 +93,6 @@ def test_offsets_are_linear_between_levels_and_held_beyond():
     error=st.floats(-5.0, 5.0),
     common=st.floats(0.0, 2.0),
 )
-@settings(max_examples=60, deadline=None)
 def test_a_constant_error_is_never_overcorrected_by_much(levels, error, common):
     trim = estimate_trim(
         seen(np.array(levels), error),

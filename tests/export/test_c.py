@@ -121,12 +121,12 @@ def test_each_engine_of_a_fitted_model_is_in_the_file(model, program, compiled):
     assert program.engines == expected
 
 
-@pytest.mark.parametrize("sanitised", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_the_code_builds_without_a_warning_and_runs_clean(model, program, sanitised, tmp_path):
+@pytest.mark.slow
+def test_the_code_builds_without_a_warning_and_runs_clean(model, program, tmp_path):
     for name, text in {**program.code, "host.c": HOST}.items():
         (tmp_path / name).write_text(text, "utf-8")
-    flags = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"] if sanitised else ["-O2"]
-    command = ["cc", *STRICT, *flags, "engine.c", "host.c", "-o", "host", "-lm"]
+    checks = ("-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+    command = ["cc", *STRICT, *checks, "engine.c", "host.c", "-o", "host", "-lm"]
     built = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert (built.returncode, built.stderr) == (0, "")
     inputs = models.log(240)
@@ -213,11 +213,9 @@ FLIGHTS = sorted(Path("../shared/data").glob("*/**/citation_*.csv.gz"))
 
 @pytest.mark.slow
 @pytest.mark.skipif(not FLIGHTS, reason="needs the flights in ../shared/data")
-@pytest.mark.parametrize("file", FLIGHTS, ids=lambda file: file.name[:17])
-@pytest.mark.parametrize("side", ["lh", "rh"])
-def test_over_whole_flights_it_is_simulate(model, compiled, file, side):
-    log = pd.read_csv(file).ffill().bfill()
+def test_over_a_whole_flight_it_is_simulate(model, compiled):
+    log = pd.read_csv(FLIGHTS[0]).ffill().bfill()
     static = log["Dadc1_sat"] + 273.15 - isa(log["Dadc1_alt"])[0]
-    fuel = 0.45359237 * log[f"{side}_engine_FMF"]
+    fuel = 0.45359237 * log["lh_engine_FMF"]
     inputs = np.column_stack([fuel, log["Dadc1_alt"], log["Dadc1_mach"], static])
     same(compiled.run(inputs), model.simulate(inputs))

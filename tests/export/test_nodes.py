@@ -5,7 +5,7 @@ from itertools import chain, combinations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from narxcal.export.grid import USUAL_RANGES, Grid
@@ -21,7 +21,6 @@ def worst(x, values, chosen):
     return np.abs(np.transpose(lines) - values).max()
 
 
-@settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 10_000), share=st.floats(0.01, 1.0))
 def test_no_smaller_choice_of_nodes_is_as_good(seed, share):
     rng = np.random.default_rng(seed)
@@ -29,9 +28,10 @@ def test_no_smaller_choice_of_nodes_is_as_good(seed, share):
     values = rng.normal(size=(9, 3)).cumsum(axis=0)
     allowed = share * worst(x, values, [0, 8])
     nodes = fewest_nodes(x, segment_errors(x, values), allowed)
-    assert worst(x, values, np.searchsorted(x, nodes)) <= allowed + 1e-12
+    rounding = 1e-12
+    assert worst(x, values, np.searchsorted(x, nodes)) <= allowed + rounding
     fewer = chain.from_iterable(combinations(range(1, 8), n) for n in range(len(nodes) - 2))
-    assert all(worst(x, values, [0, *inner, 8]) > allowed for inner in fewer)
+    assert all(worst(x, values, [0, *inner, 8]) > allowed - rounding for inner in fewer)
 
 
 def test_a_parabola_gets_the_nodes_of_the_closed_form():

@@ -55,17 +55,6 @@ def virtual():
 # Bytes
 
 
-@pytest.mark.slow
-def test_the_same_scenario_gives_the_same_bytes_however_many_processes_fly_it(tmp_path):
-    one, two = tmp_path / "one", tmp_path / "two"
-    options = WriteOptions(jobs=1, gzipped=True, true_channels=True)
-    flights = scenario(engines=["left"])
-    truth = write_flights(one, flights, options)
-    assert write_flights(two, flights, options._replace(jobs=2)) == truth
-    assert contents(one) == contents(two)
-    assert len(contents(one)) == 4
-
-
 def test_another_seed_gives_other_bytes_and_more_flights_the_same_first_ones(tmp_path):
     folders = [tmp_path / name for name in "abc"]
     for folder, table in zip(folders, ({}, {"seed": 1, "flights": 1}, {"flights": 1}), strict=True):

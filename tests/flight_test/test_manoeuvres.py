@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import chirp
 
@@ -116,7 +116,6 @@ def test_a_sequence_carries_its_switches_along():
     assert flips == {"ECS": (7.0, 11.0), "NAI": (39.0, 41.0)}
 
 
-@settings(max_examples=60, deadline=None)
 @given(parts)
 def test_joined_manoeuvres_are_continuous_and_within_rate_and_reach(parts):
     joined = sequence(*parts)
@@ -132,7 +131,6 @@ def test_joined_manoeuvres_are_continuous_and_within_rate_and_reach(parts):
     assert moved[-1] == pytest.approx(joined.net_deg, abs=1e-9)
 
 
-@settings(max_examples=60, deadline=None)
 @given(parts)
 def test_a_sequence_is_its_parts_one_after_another(parts):
     joined, start, level = sequence(*parts), 0.0, 0.0

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from narxcal.flight_test.moves import Limits, course, moves
@@ -18,7 +18,6 @@ TABLE = {
 }
 
 
-@settings(deadline=None, max_examples=40)
 @given(
     low=st.floats(-20.0, 500.0),
     span=st.floats(1.0, 2000.0),

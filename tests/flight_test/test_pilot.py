@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from narxcal.flight_test.manoeuvres import (
@@ -68,7 +68,6 @@ def test_a_hand_turns_a_step_into_a_ramp():
 
 
 @given(st.lists(st.floats(0.0, 85.0), min_size=2, max_size=50), st.floats(0.1, 100.0))
-@settings(max_examples=100, deadline=None)
 def test_a_limited_rate_is_kept_and_what_is_slower_is_untouched(angles, most):
     wanted = np.array(angles)
     followed = rate_limited(wanted, most)
@@ -78,7 +77,6 @@ def test_a_limited_rate_is_kept_and_what_is_slower_is_untouched(angles, most):
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=30, deadline=None)
 def test_two_levers_stand_a_degree_apart_at_most_and_only_part_while_they_move(seed):
     random = np.random.default_rng(seed)
     meant = compose(PLACED, TIME_S, 0.0)
@@ -180,7 +178,6 @@ def test_throttle_rates_go_from_slow_to_slam():
 
 
 @given(st.floats(0.0, 20.0), st.floats(30.0, 60.0), st.floats(65.0, 85.0), st.floats(5.0, 40.0))
-@settings(max_examples=40, deadline=None)
 def test_every_point_comes_back_to_its_trim_within_the_stops(low, trim, high, stay_s):
     levels = TestLevels(low, trim, high, stay_s=stay_s, hold_s=200.0)
     for name, point in separating_set(levels).items():

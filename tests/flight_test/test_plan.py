@@ -36,7 +36,7 @@ seeds = st.integers(0, 2**31)
 styles = st.sampled_from(STYLES)
 aircrafts = st.sampled_from(sorted(AIRCRAFT))
 lengths = st.floats(SHORTEST_S, 900.0)
-many = settings(max_examples=12, deadline=None)
+many = settings(max_examples=12)
 plans = st.builds(
     FlightPlan,
     style=styles,

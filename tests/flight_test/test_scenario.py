@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from narxcal.flight_test.fly import LeverMove, build, flown_engine, lever_moves
@@ -136,7 +136,6 @@ def test_windows_that_are_given_stay():
 
 
 @given(seed=st.integers(0, 999), end_s=st.floats(60.0, 9000.0))
-@settings(max_examples=50)
 def test_drawn_windows_lie_apart_inside_the_flight(seed, end_s):
     (effect,) = scenario(seed=seed, effects=[SWITCH]).effects_on(1, "left", end_s)
     edges = np.ravel(effect.windows_s)

@@ -13,6 +13,7 @@ import runpy
 import shutil
 import sys
 from contextlib import redirect_stdout
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -136,12 +137,22 @@ def flights(tmp_path_factory):
     return folder
 
 
+@pytest.fixture(scope="module")
+def trained(flights, tmp_path_factory):
+    """The run of a form, trained once, and what the command says in JSON."""
+
+    @cache
+    def of(form):
+        config, run = GOLDEN / form / "train.toml", tmp_path_factory.mktemp(form) / "run"
+        return run, json.loads(narxcal("train", config, "--data", flights, "--out", run, "--json"))
+
+    return of
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("form", FORMS)
-def test_training_again_gives_as_good_a_model(form, flights, tmp_path):
-    config, run = GOLDEN / form / "train.toml", tmp_path / "run"
-    narxcal("train", config, "--data", flights, "--out", run, "--quiet")
-    engine = load_bundle(run).calibration
+def test_training_again_gives_as_good_a_model(form, trained):
+    engine = load_bundle(trained(form)[0]).calibration
     inputs, measured = flight(engine.input_names), flight(engine.output_names)
     with np.load(GOLDEN / form / "expected.npz") as expected:
         runs = [engine.simulate(inputs, measured[0]), expected["free_run"]]
@@ -222,14 +233,15 @@ def keys(document):
     }
 
 
-def of_project(flights, folder):
+def of_project(flights, trained, folder):
     """Yield name and content of the JSON and the heads of CSV that commands write on few logs."""
-    config, run, data = GOLDEN / "no_lags" / "train.toml", folder / "run", ("--data", flights)
+    config, data = GOLDEN / "no_lags" / "train.toml", ("--data", flights)
+    run, document = trained("no_lags")
+    yield "train", document
     log = flights / "flight_03_left.csv"
     yield "truth.json", json.loads((flights / "truth.json").read_text("utf-8"))
     for command in (
         ("prepare", config, *data, "--out", folder / "prepared"),
-        ("train", config, *data, "--out", run),
         ("evaluate", run, *data),
         ("crossval", config, *data, "--out", folder / "crossval", "--jobs", 1),
         ("info", run),
@@ -244,13 +256,6 @@ def of_project(flights, folder):
             yield name, dict.fromkeys(next(csv.reader(lines)))
 
 
-def of_demo(_flights, folder):
-    """Yield name and content of every JSON that the demonstration writes."""
-    narxcal("demo", "--out", folder, "--quiet")
-    for file in sorted(folder.rglob("*.json")):
-        yield file.relative_to(folder).as_posix(), json.loads(file.read_text("utf-8"))
-
-
 # What bundle/2 and the resolved configuration in it replaced; the changelog has the reasons.
 REPLACED = re.compile(
     r"calibration_sha256|.*fuser_noise\.correlation.*|.*correlation\[\].*|.*config\.narx\.lag_\w+"
@@ -258,17 +263,20 @@ REPLACED = re.compile(
 )
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("documents", [of_project, of_demo])
-def test_documents_still_have_the_keys_that_they_had(documents, flights, tmp_path):
-    """Later keys may join them."""
-    expected = stored("json_keys.json")[documents.__name__]
-    found = {name: keys(content) for name, content in documents(flights, tmp_path / "o")}
+def lost(stored_as, documents):
+    """Keys of stored documents that these, by name, have no more; later keys may join them."""
+    expected = stored("json_keys.json")[stored_as]
+    found = {name: keys(content) for name, content in documents}
     assert set(expected) <= set(found)
-    lost = [
+    return [
         f"{name}: {path} ({kind}), now {found[name].get(path)}"
         for name, paths_of in expected.items()
         for path, kind in paths_of.items()
         if found[name].get(path) != kind and not REPLACED.fullmatch(path)
     ]
-    assert lost == []
+
+
+@pytest.mark.slow
+def test_documents_still_have_the_keys_that_they_had(flights, trained, tmp_path):
+    """Those of the demonstration: tests/cli/test_demo.py."""
+    assert lost("of_project", of_project(flights, trained, tmp_path)) == []

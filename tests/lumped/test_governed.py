@@ -161,7 +161,7 @@ class Slowly:
         return np.array(found)
 
 
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 200))
 def test_the_kernel_is_the_equations(seed):
     model, rng = lags(seed, limit=60.0), np.random.default_rng(seed)
@@ -189,11 +189,8 @@ def drawn_lags(seed, spread):
     return model
 
 
-@settings(deadline=None, max_examples=60)
-@given(st.integers(0, 2**31), st.floats(0.1, 3.0), st.floats(-1.5, 1.5), AIR, st.floats(0.01, 2.0))
-def test_every_equilibrium_is_stable_whatever_the_parameters_are(seed, spread, level, air, dt_s):
-    """The linearised step, by differences, contracts all states of control, spools and metal."""
-    model = drawn_lags(seed, spread)
+def largest_pole(model, level, air, dt_s):
+    """Of the step that is linearised by differences about the equilibrium at a level."""
     model.arrays["extra"][1] = 0.0  # clearances have a kink at rest, and act on limits alone
     inputs, ss = steps_of([level], hold_s=2.0 * dt_s, dt_s=dt_s, air=air)
     drive, size = model.drive(inputs, INPUTS, ss), 1e-6  # kinks of limits stay outside it
@@ -204,17 +201,24 @@ def test_every_equilibrium_is_stable_whatever_the_parameters_are(seed, spread, l
     used = model.used.ravel()
     moves = size * np.eye(3 * ROWS)[used]
     jacobian = np.stack([(step(one) - step(-one))[used] / (2.0 * size) for one in moves], axis=1)
-    assert np.abs(np.linalg.eigvals(jacobian)).max() < 1.0
+    return np.abs(np.linalg.eigvals(jacobian)).max()
 
 
-@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 2**31), st.floats(0.1, 3.0), st.floats(-1.5, 1.5), AIR, st.floats(0.01, 2.0))
+def test_every_equilibrium_is_stable_whatever_the_parameters_are(seed, spread, level, air, dt_s):
+    """The step contracts all states of control, spools and metal."""
+    assert largest_pole(drawn_lags(seed, spread), level, air, dt_s) < 1.0
+
+
 @given(st.integers(0, 2**31), st.floats(-1.2, 1.2), st.floats(-1.2, 1.2), AIR)
 def test_it_comes_to_rest_behind_a_slam(seed, before, after, air):
     model = drawn_lags(seed, 0.3)
     model.arrays["heat"][:, [0, 4]] = 0.0  # heat takes minutes
-    inputs, ss = steps_of([before, after], hold_s=1200.0, air=air)  # nine time constants
+    slowest_s = -DT_S / math.log(largest_pole(drawn_lags(seed, 0.3), after, air, DT_S))
+    inputs, ss = steps_of([before, after], hold_s=9.0 * slowest_s, air=air)
     left = run(model, inputs, ss)
-    assert np.abs(left[-1] / HALF).max() < 0.004
+    # A slam of 2.4 half ranges, exp(-9) of it, and as much again ten times for what overshoots.
+    assert np.abs(left[-1] / HALF).max() < 10.0 * 2.4 * math.exp(-9.0)
 
 
 @pytest.mark.parametrize("air", [(0.0, 0.0, 0.0), (39000.0, 0.8, 0.0), (300.0, 0.2, -25.0)])

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from narxcal.atmosphere import air_state
@@ -101,7 +101,6 @@ def slowly(model, inputs, ss, start):
 
 
 @pytest.mark.slow
-@settings(deadline=None, max_examples=25)
 @given(seed=st.integers(0, 200))
 def test_the_kernel_is_the_equations(seed):
     model, inputs, ss = wild(seed)
@@ -140,7 +139,6 @@ def test_thin_air_slows_a_spool_by_root_theta_over_delta():
     np.testing.assert_allclose(np.log(once[1:]) / np.log(thin[1:]), slower, rtol=1e-9)
 
 
-@settings(deadline=None, max_examples=25)
 @given(seed=st.integers(0, 200))
 def test_it_stays_bounded_and_comes_to_rest_whatever_the_parameters(seed):
     model, inputs, ss = wild(seed)
@@ -151,7 +149,6 @@ def test_it_stays_bounded_and_comes_to_rest_whatever_the_parameters(seed):
     assert np.abs(model.deviations(drive, 0.5 * model.limit, DT_S)[-1]).max() < 1e-3
 
 
-@settings(deadline=None, max_examples=25)
 @given(seed=st.integers(0, 50))
 def test_the_order_of_the_outputs_does_not_matter(seed):
     model, inputs, ss = wild(seed)

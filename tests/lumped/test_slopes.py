@@ -50,7 +50,7 @@ def differences(model, seed, step=1e-6):
     return np.stack(found, axis=2) / (2.0 * step)
 
 
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 29), governed=st.booleans())
 def test_slopes_are_what_differences_of_runs_tend_to(seed, governed):
     model = engine(seed, governed)

@@ -168,16 +168,6 @@ def test_a_folder_with_content_is_refused_and_untouched(tmp_path):
     assert names(tmp_path) == ["thesis.tex"]
 
 
-def test_foreign_content_is_not_even_overwritten_on_request(tmp_path):
-    (tmp_path / "thesis.json").write_text("{not json", encoding="utf-8")
-    (tmp_path / "list.json").write_text("[1]", encoding="utf-8")
-    refused(
-        tmp_path,
-        f"output folder {tmp_path} holds other content ('list.json') and is not overwritten. "
-        "Choose another name, or empty it yourself",
-    )
-
-
 def test_a_file_in_place_of_the_folder_is_refused(tmp_path):
     file = tmp_path / "run"
     file.touch()

@@ -76,7 +76,7 @@ def test_a_symmetric_lag_steps_as_its_closed_form():
 
 
 @given(seed=st.integers(0, 99), push=st.floats(0.01, 0.99), pull=st.floats(0.01, 0.99))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_the_compiled_lag_gives_the_numbers_of_the_plain_one(seed, push, pull):
     settled = np.random.default_rng(seed).normal(size=(300, 1)).cumsum(axis=0)
     push_s, pull_s = (-DT_S / math.log1p(-gain) for gain in (push, pull))

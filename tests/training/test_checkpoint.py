@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from narxcal.narx.config import NarxConfig
@@ -67,7 +67,6 @@ def test_another_training_is_refused(tmp_path):
     )
 
 
-@settings(max_examples=40, deadline=None)
 @given(kept=st.floats(0.0, 0.999), junk=st.binary(max_size=20))
 def test_a_damaged_file_is_refused_in_words(kept, junk, tmp_path_factory):
     file = tmp_path_factory.mktemp("damaged") / "c"

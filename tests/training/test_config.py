@@ -4,7 +4,7 @@ import contextlib
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from narxcal.support.errors import ConfigError
@@ -208,7 +208,6 @@ values = st.one_of(
 )
 
 
-@settings(max_examples=60, deadline=None)
 @given(content=st.one_of(st.binary(max_size=60), st.text(max_size=60).map(str.encode)))
 def test_any_bytes_give_a_configuration_or_one_error(content, tmp_path_factory):
     file = tmp_path_factory.mktemp("fuzz") / "run.toml"
@@ -218,7 +217,6 @@ def test_any_bytes_give_a_configuration_or_one_error(content, tmp_path_factory):
             assert isinstance(load_config(file)[0], RunConfig)
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     section=st.sampled_from(SECTIONS),
     table=st.dictionaries(st.sampled_from(KEYS), values, max_size=3),

@@ -45,7 +45,7 @@ configs = st.builds(
 )
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(config=configs, given_samples=st.integers(1, 6), seed=st.integers(0, 99))
 def test_compiled_free_run_equals_one_pytorch_call_a_step(config, given_samples, seed):
     model = make_model(config, seed=seed)
@@ -64,7 +64,7 @@ def test_compiled_free_run_equals_one_pytorch_call_a_step(config, given_samples,
     np.testing.assert_allclose(fast, model.output_scaling.up(slow), rtol=1e-12, atol=1e-12)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(config=configs, first=st.integers(1, 6), seed=st.integers(0, 99))
 def test_the_differentiable_free_run_is_that_of_the_steps_and_so_are_its_slopes(
     config, first, seed
@@ -152,7 +152,7 @@ def autograd(model, windows, theta):
     )
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(config=configs, horizon=st.sampled_from([None, 5, 17]), seed=st.integers(0, 99))
 def test_both_gradients_equal_autograd(config, horizon, seed):
     model = make_model(config, seed=seed)

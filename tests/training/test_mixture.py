@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from training.mixture import MODELS, HeldOut, Mixture, error_products, leader_of, weights_of
@@ -97,7 +97,6 @@ def test_a_model_that_is_stable_in_the_folds_alone_has_no_weight():
     assert found.sum() == pytest.approx(1.0)
 
 
-@settings(max_examples=40, deadline=None)
 @given(
     pieces=st.integers(2, 5),
     scale=st.floats(1e-3, 1e3),

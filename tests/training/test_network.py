@@ -281,7 +281,6 @@ def test_a_linear_system_is_found_at_once():
     np.testing.assert_allclose(model.simulate(u[:, None], y[:1]), y[:, None], atol=1e-3)
 
 
-@settings(max_examples=25, deadline=None)
 @given(config=configs, seed=st.integers(0, 99), drift=st.booleans())
 def test_it_never_diverges(config, seed, drift):
     rng = np.random.default_rng(seed)
@@ -352,7 +351,7 @@ def single(config, seed):
     return NarxModel(net, inputs, Scaling(own.normal(size=1), 1.0 + own.random(1)))
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(
     lags=st.integers(1, 4),
     taps=st.sampled_from([(0,), (0, 1), (1, 3)]),

@@ -80,7 +80,6 @@ def test_decay_is_a_ridge():
     np.testing.assert_allclose(last.theta, exact, rtol=1e-7)
 
 
-@settings(max_examples=25, deadline=None)
 @given(start=st.tuples(st.floats(-3, 3), st.floats(-3, 3)), decay=st.sampled_from([0.0, 1e-3, 0.3]))
 def test_every_step_goes_downhill(start, decay):
     theta, problem = np.array(start), LeastSquares(rosenbrock)
@@ -90,7 +89,7 @@ def test_every_step_goes_downhill(start, decay):
         before = step.loss
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 @given(stop=st.integers(1, 9))
 def test_stopping_anywhere_and_going_on_is_the_same_path(stop):
     problem, start = LeastSquares(decay_curve), np.array([5.0, 4.0, -3.0])
@@ -171,7 +170,7 @@ def test_adam_goes_downhill():
     assert losses[-1] < 0.2 * losses[0]
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(stop=st.integers(1, 19))
 def test_adam_stopped_anywhere_goes_on_as_if_it_had_not(stop):
     whole = list(islice(adam(Smooth(), BEGIN, 0.05), 20))

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.training.test_masking import CONFIG, flight
@@ -36,7 +36,6 @@ def names(parts):
     return [each.log for each in outliers(parts, LAYOUT, SteadyFitConfig())]
 
 
-@settings(max_examples=25)
 @given(first=st.integers(0, 10_000), count=st.integers(3, 12))
 def test_engines_within_twice_their_scatter_are_not_accused(first, count):
     assert not names([samples(first + k) for k in range(count)])

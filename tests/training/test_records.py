@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from narxcal.narx.config import NarxConfig
@@ -163,7 +163,6 @@ def test_without_a_still_sample_or_a_measurement_nothing_is_shifted():
     np.testing.assert_array_equal(locally_trimmed(truth, unknown, ~never), truth)
 
 
-@settings(max_examples=50, deadline=None)
 @given(seed=st.integers(0, 10_000), share=st.floats(0.01, 0.9))
 def test_at_still_samples_steady_value_and_measurement_agree(seed, share):
     rng = np.random.default_rng(seed)

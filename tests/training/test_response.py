@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 from scipy.signal import lti, step
@@ -29,7 +29,6 @@ def first_order(tau_s, delay_s=0.0, dt_s=0.01, stop_s=None):
     before=st.floats(-100.0, 900.0),
     response=st.sampled_from([-300.0, -20.0, 20.0, 300.0]),
 )
-@settings(deadline=None, max_examples=60)
 def test_first_order_lag_with_dead_time(tau_s, delay_s, before, response):
     time_s, unit = first_order(tau_s, delay_s)
     read = measure_transient(time_s, before + response * unit, START_S, CONFIG)
@@ -82,7 +81,6 @@ def _second_order(t, damping):
     shift=st.integers(-2000, 2000),
     mode=st.sampled_from(["interpolated", "nearest"]),
 )
-@settings(deadline=None, max_examples=40)
 def test_scale_offset_time_shift_and_direction_do_not_matter(scale, offset, shift, mode):
     config = TransientConfig(reading=mode)
     time_s, unit = first_order(0.8, 0.21, dt_s=0.03125)
@@ -105,7 +103,6 @@ def test_scale_offset_time_shift_and_direction_do_not_matter(scale, offset, shif
     dt_s=st.sampled_from([0.01, 0.03125, 0.1]),
     delay_s=st.floats(0.0, 1.0),
 )
-@settings(deadline=None, max_examples=60)
 def test_nearest_sample_is_a_sample_within_half_an_interval(tau_s, dt_s, delay_s):
     time_s, unit = first_order(tau_s, delay_s, dt_s)
     fine = measure_transient(time_s, 20.0 * unit, START_S, CONFIG)
@@ -117,7 +114,6 @@ def test_nearest_sample_is_a_sample_within_half_an_interval(tau_s, dt_s, delay_s
 
 
 @given(tau_s=st.floats(0.2, 3.0), dt_s=st.sampled_from([0.03125, 0.1]))
-@settings(deadline=None, max_examples=30)
 def test_nearest_sample_is_what_the_papers_loop_finds(tau_s, dt_s):
     """The paper loops over the samples for the one closest to 10 % and 90 % of the power."""
     time_s, unit = first_order(tau_s, 0.0, dt_s)
@@ -182,7 +178,6 @@ def test_a_response_that_leads_its_driver_has_a_negative_Ti():  # noqa: N802
     move=st.integers(0, 59),
     mode=st.sampled_from(["interpolated", "nearest"]),
 )
-@settings(deadline=None, max_examples=300)
 def test_any_record_gives_two_times_in_order_or_a_reason(y, move, mode):
     """Also pure noise, with the check for settled parts as good as off."""
     time_s = np.arange(len(y)) * 0.25

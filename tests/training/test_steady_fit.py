@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from narxcal.atmosphere import air_at
@@ -133,7 +133,6 @@ def test_a_single_engine_gets_no_scatter():
     assert np.array_equal(model.for_engine("left").outputs(inputs), model.outputs(inputs))
 
 
-@settings(max_examples=25)
 @given(seed=st.integers(0, 10**6), huber=st.sampled_from([0.0, 2.0]))
 def test_whatever_the_samples_the_curve_of_a_speed_never_falls(seed, huber):
     """That of a temperature may: where the samples, or their noise, clearly say so."""

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from training.scatter import (
@@ -30,7 +30,6 @@ def slow_height(r, start, stop):
     return float(np.mean(r[inside]) - np.mean(r[~inside]))
 
 
-@settings(max_examples=30)
 @given(seed=st.integers(0, 10_000), count=st.integers(2 * LEAST, 90))
 def test_heights_are_among_those_of_all_stretches_and_the_strongest_is_one_of_them(seed, count):
     r = np.random.default_rng(seed).standard_normal(count)

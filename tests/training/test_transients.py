@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from data_prep.events import Event
@@ -420,7 +420,6 @@ def test_rows_are_json_and_keep_the_raw_times():
 
 
 @given(seed=st.integers(0, 10_000), delay=st.integers(0, 6))
-@settings(deadline=None, max_examples=25)
 def test_a_delay_of_whole_samples_is_found_in_spite_of_noise(seed, delay):
     """0.25 s lie between 2 and 3 samples of 0.1 s; noise of 0.05 % moves Ti by less than 20 ms."""
     noise = np.random.default_rng(seed).normal(0.0, 0.05, (2, 900))

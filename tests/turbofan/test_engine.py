@@ -101,7 +101,7 @@ def test_a_reslam_is_governed_as_well(bench, log, condition, pause_s):
     assert run["hpc_angle"].max() < 0.5 * np.pi
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(
     st.floats(0.0, 85.0),
     st.fixed_dictionaries(

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numba import njit
 
@@ -274,7 +274,6 @@ def test_the_step_hardly_matters():
     assert np.max(np.abs(coarse - fine[: len(coarse)])) < 0.8
 
 
-@settings(deadline=None, max_examples=40)
 @given(st.lists(st.floats(20.0, 100.0), min_size=1, max_size=12), st.sampled_from([SEA, HIGH]))
 def test_no_lever_play_breaks_a_limit(targets, place):
     commands = np.repeat(np.r_[targets[0], targets], round(1.5 / DT))

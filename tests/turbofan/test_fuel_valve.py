@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from narxcal.turbofan.fadec import METERED, FuelValveParameters, steady_valve, valve_step
@@ -34,7 +34,6 @@ def test_nothing_in_the_way_passes_the_demand_on():
     np.testing.assert_array_equal(burned, demand)
 
 
-@settings(deadline=None)  # the first example waits for the compiler
 @given(st.floats(0.01, 3.0))
 def test_a_settled_valve_stays_exactly_where_it_is(fuel):
     every = FuelValveParameters(0.1, 0.5, 0.04, 0.03, 0.05)

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.interpolate import PchipInterpolator
@@ -37,7 +37,6 @@ def slow_play(angle, width):
     return np.array(out)
 
 
-@settings(deadline=None)  # the first example waits for the compiler
 @given(levers)
 def test_a_perfect_linkage_leaves_the_lever_untouched(angle):
     read = resolver(angle, DT, LeverParameters())
@@ -45,7 +44,6 @@ def test_a_perfect_linkage_leaves_the_lever_untouched(angle):
     assert read is not angle
 
 
-@settings(deadline=None)  # the first example waits for the compiler
 @given(levers, st.floats(0.01, 20.0))
 def test_play_is_its_slow_twin_and_stays_within_half_its_width(angle, width):
     read = resolver(angle, DT, LeverParameters(backlash_deg=width))
@@ -53,7 +51,6 @@ def test_play_is_its_slow_twin_and_stays_within_half_its_width(angle, width):
     assert np.all(np.abs(read - angle) <= width / 2 + 1e-12)
 
 
-@settings(deadline=None)  # the first example waits for the compiler
 @given(levers, st.floats(0.01, 20.0))
 def test_play_does_not_ask_how_fast_the_lever_moves(angle, width):
     slowly = np.repeat(angle, 3)
@@ -74,7 +71,6 @@ def test_a_delay_shifts_a_ramp_by_its_length(steps):
     np.testing.assert_allclose(read, np.maximum(angle - steps, 0.0), atol=1e-12)
 
 
-@settings(deadline=None)  # the first example waits for the compiler
 @given(levers, st.floats(1.0, 500.0))
 def test_the_rate_is_limited_and_what_is_slower_passes(angle, rate):
     read = resolver(angle, DT, LeverParameters(rate_limit_degps=rate))

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from narxcal.turbofan.cycle import Health, Running
@@ -37,7 +37,6 @@ def running(bench, n1=0.8):
     return x, air, (bench.machine.path, Health()), fuel
 
 
-@settings(max_examples=40, deadline=None)
 @given(st.lists(st.floats(-0.25, 0.25), min_size=5, max_size=5))
 def test_the_positions_found_do_not_depend_on_the_start(bench, offset):
     x, air, engine, unit = running(bench)

@@ -13,7 +13,6 @@ from eval import bench
 from eval.benchmarks import Row, public_sets, speed
 from eval.benchmarks import flights as picture
 from narxcal.support.errors import DataError
-from training.config import load_config
 from training.ladder import Limits
 from training.rules import Verdict
 from training.search import Rates, counted
@@ -77,25 +76,6 @@ def test_a_set_that_is_not_there_is_named(folder, tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(DataError, match=r"^no set is in"):
         public_sets.names_in(tmp_path / "empty")
-
-
-@pytest.mark.slow
-def test_kernel_rows_are_finite():
-    rows = speed.kernel_rows(400)
-    assert len(rows) >= 3
-    assert all(math.isfinite(row.value) and row.value > 0.0 for row in rows)
-
-
-@pytest.mark.slow
-def test_replay_rows_are_finite(monkeypatch):
-    """Without lags, whose fit takes longer than all else."""
-    config, base = load_config("demo.toml")
-    narx = config.narx.model_copy(update={"lag": False, "lag_governed": False})
-    plain = config.model_copy(update={"narx": narx}), base
-    monkeypatch.setattr(speed, "load_config", lambda _: plain)
-    rows = speed.replay_rows(duration_s=480.0, steps=50)
-    assert [row.unit for row in rows] == ["x real time", "ms"]
-    assert all(math.isfinite(row.value) and row.value > 0.0 for row in rows)
 
 
 @pytest.mark.parametrize(

@@ -103,23 +103,11 @@ def test_nothing_is_compared_where_a_simulator_ran_on_a_held_input(fly, log_of, 
     assert sum(one.samples for one in found.audit.entries) == expected.sum()
 
 
-def test_other_inputs_are_refused_with_the_first_row(fly, record, log_of):
-    sim = fly(0, 60.0)
-    late = {**sim, "TRA_deg": np.roll(sim["TRA_deg"], 8)}
-    with pytest.raises(DataError, match=r"f, channel TRA_deg, row 1: the inputs differ: recorded"):
-        pair_logs("f", log_of(record(sim)), log_of(late))
-
-
 def test_rounding_of_inputs_is_no_difference(fly, record, log_of):
     sim = fly(0, 60.0)
     rounded = {**sim, "ALT_ft": sim["ALT_ft"].round(-1), "TRA_deg": sim["TRA_deg"].round(1)}
     found = pair_logs("f", log_of(record(rounded)), log_of(sim))
     np.testing.assert_array_equal(found.inputs["ALT_ft"], sim["ALT_ft"])
-
-
-def test_other_rates_are_refused(fly, log_of):
-    with pytest.raises(DataError, match="rates differ: recorded at 16 Hz, simulated at 8 Hz"):
-        pair_logs("f", log_of(fly(0, 60.0)), log_of(fly(0, 60.0, 8.0)))
 
 
 def test_last_samples_are_cut_and_counted_and_no_more(fly, record, log_of):
@@ -128,9 +116,6 @@ def test_last_samples_are_cut_and_counted_and_no_more(fly, record, log_of):
     found = pair_logs("f", log_of(short), log_of(sim))
     assert found.counts["cut at the end"] == 10
     assert len(found.time_s) == len(sim["time_s"]) - 10
-    shorter = {name: values[:-100] for name, values in record(sim).items()}
-    with pytest.raises(DataError, match="lengths differ: recorded 860 samples, simulated 960"):
-        pair_logs("f", log_of(shorter), log_of(sim))
 
 
 def test_clocks_that_start_apart_are_paired_by_row(fly, record, log_of):
@@ -139,15 +124,6 @@ def test_clocks_that_start_apart_are_paired_by_row(fly, record, log_of):
     assert "paired by row, for the clocks start apart" in (
         pair_logs("f", log_of(later), log_of(sim)).counts
     )
-
-
-@pytest.mark.parametrize(("side", "word"), [(0, "recorded"), (1, "simulated")])
-def test_a_constant_output_is_refused(fly, record, log_of, side, word):
-    sim = fly(0, 60.0)
-    logs = [record(sim), sim]
-    logs[side] = {**logs[side], "EGT_C": np.full_like(sim["EGT_C"], 512.0)}
-    with pytest.raises(DataError, match=rf"channel EGT_C: the {word} channel is constant \(512"):
-        pair_logs("f", *map(log_of, logs))
 
 
 def test_unknown_samples_are_masked_and_counted(fly, record, log_of):
@@ -165,27 +141,8 @@ def test_unknown_samples_are_masked_and_counted(fly, record, log_of):
     assert np.isfinite(found.inputs["TRA_deg"]).all()
 
 
-def test_an_output_without_a_sample_is_refused(fly, log_of):
-    sim = fly(0, 60.0)
-    with pytest.raises(DataError, match="channel N1_pct: no recorded sample is known"):
-        pair_logs("f", log_of({**sim, "N1_pct": np.full(960, np.nan)}), log_of(sim))
-    missing = {**sim, "N1_pct": np.where(np.arange(960) < 500, np.nan, sim["N1_pct"])}
-    with pytest.raises(DataError, match="500 of 960 simulated samples are missing"):
-        pair_logs("f", log_of(sim), log_of(missing))
-
-
 def without(channels, *names):
     return {name: values for name, values in channels.items() if name not in names}
-
-
-def test_logs_need_a_driver_and_a_common_output(fly, log_of):
-    sim = fly(0, 60.0)
-    bare = without(sim, "TRA_deg")
-    with pytest.raises(DataError, match="no TRA_deg, and no FF_kgph"):
-        pair_logs("f", log_of(bare), log_of(bare))
-    outputs = ("N1_pct", "N2_pct", "EGT_C")
-    with pytest.raises(DataError, match=r"neither N1_pct nor N2_pct\. A spool speed has to"):
-        pair_logs("f", log_of(sim), log_of(without(sim, *outputs)))
 
 
 def test_fuel_flow_is_an_output_beside_a_lever_and_the_driver_without(fly, log_of):
@@ -206,14 +163,6 @@ def test_thrust_is_compared_and_not_diagnosed(fly, log_of):
     found = pair_logs("f", log_of(sim), log_of(sim))
     assert "FN_kN" not in found.sim
     assert found.others["FN_kN"].shape == (960, 2)
-
-
-def test_flights_of_two_rates_are_refused(tmp_path, fly, write):
-    for name, rate in (("a", 16.0), ("b", 8.0)):
-        for folder in ("real", "sim"):
-            write(tmp_path / folder / f"{name}.csv", fly(0, 60.0, rate))
-    with pytest.raises(DataError, match="recorded at 8 Hz, but a at 16 Hz"):
-        read_pairs(tmp_path / "real", tmp_path / "sim")
 
 
 def test_flights_with_other_drivers_are_refused(tmp_path, fly, write):

@@ -1,8 +1,6 @@
 """Studies of the Spey paper: claims of its tables, simulated engines."""
 
-import pytest
-
-from eval.reproduce.spey import Trial, coverage, paper_study, simulated_study, truth
+from eval.reproduce.spey import Trial, coverage, paper_study, truth
 
 
 def by_start(study):
@@ -25,22 +23,6 @@ def test_what_the_papers_tables_bear_out_and_what_they_contradict():
 def test_the_twin_differs_from_the_left_engine_in_tau_h_alone():
     left, twin = truth("left"), truth("twin")
     assert {name for name in left if left[name] != twin[name]} == {"tau_H", "tau_engine"}
-
-
-@pytest.mark.slow
-def test_a_study_has_its_claims_and_tables():
-    shown = []
-    study = simulated_study(1, progress=lambda *row: shown.append(row[:2]))
-    assert shown == [(1, 1)]
-    found = {claim.what[:3].strip(): claim for claim in study.claims}
-    assert found["S12"].met
-    power = next(claim for claim in study.claims if "35 %" in claim.what)
-    assert power.met
-    shares = study.results["coverage"]
-    assert shares["pooled"] > 65.0
-    assert len(study.tables[0].rows) == len(shares) - 1
-    bias = {row[0].text: float(row[4].text) for row in study.tables[1].rows}
-    assert bias["alpha"] > 3.0
 
 
 def test_coverage_counts_both_engines_and_pools_what_was_estimated():

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -20,7 +20,6 @@ from narxcal.calibration.bundle import (
     read_document,
     save_bundle,
     seal,
-    write_bundle,
 )
 from narxcal.calibration.run_record import RunRecord
 from narxcal.steady.table import SteadyTable
@@ -101,9 +100,6 @@ ARRAYS = st.dictionaries(
 )
 
 
-@settings(
-    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
 @given(
     arrays=ARRAYS,
     meta=st.dictionaries(NAMES, JSON, max_size=4),
@@ -289,9 +285,6 @@ def test_a_number_that_json_lacks_is_refused(saved):
     refused(saved, f"{saved / 'bundle.json'}: not JSON: NaN is no number in JSON. {AGAIN}")
 
 
-@settings(
-    max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
 @given(data=st.data())
 def test_any_changed_byte_is_refused(saved, data):
     file = saved / data.draw(st.sampled_from(["bundle.json", "weights.safetensors"]))
@@ -384,28 +377,6 @@ def test_a_full_disk_leaves_no_bundle(tmp_path, monkeypatch):
     with pytest.raises(ConfigError, match="cannot write: No space left on device"):
         save_bundle(tmp_path / "run", example())
     assert names(tmp_path) == []
-
-
-@pytest.mark.parametrize("event", range(3))
-def test_wherever_a_writer_is_killed_one_bundle_is_whole(saved, monkeypatch, event):
-    """Events: new weights, new document, weights renamed."""
-    renamed = Path.replace
-    seen = []
-
-    def replace(self, target):
-        seen.append(self)
-        if len(seen) > event:
-            raise KeyboardInterrupt
-        return renamed(self, target)
-
-    monkeypatch.setattr(Path, "replace", replace)
-    newer = Bundle(Calibration({}, {"narx/weight": np.ones(3)}))
-    with pytest.raises(KeyboardInterrupt):
-        write_bundle(saved, newer)
-    monkeypatch.undo()
-    expected = np.ones(3) if event == 2 else np.arange(6.0).reshape(2, 3)
-    monkeypatch.setattr(module, "calibration_from_arrays", Calibration.from_arrays)
-    np.testing.assert_array_equal(load_bundle(saved).calibration.arrays["narx/weight"], expected)
 
 
 def test_an_array_called_as_the_formats_own_header_is_refused(tmp_path):

@@ -154,31 +154,6 @@ def test_a_run_executes_nothing_without_trust(planted):
     assert mark.exists()
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        ("info", "RUN"),
-        ("evaluate", "RUN", "--logs", "x.csv", "--out", "OUT"),
-        ("replay", "RUN", "x.csv", "--out", "OUT"),
-        ("simulate", "RUN", "x.csv", "--out", "OUT"),
-        ("export", "RUN", "--to", "table", "--out", "OUT.csv"),
-        ("diagnose", "--sim", "RUN", "--real", "DIR", "--out", "OUT"),
-    ],
-    ids=lambda command: command[0],
-)
-def test_no_command_executes_what_is_in_a_run(planted, command, capsys, tmp_path):
-    run, mark = planted
-    (tmp_path / "x.csv").write_text("time_s\n", encoding="utf-8")
-    places = {"RUN": run, "OUT": tmp_path / "out", "OUT.csv": tmp_path / "out.csv", "DIR": tmp_path}
-    places["x.csv"] = tmp_path / "x.csv"
-    given = [str(places.get(word, word)) for word in command]
-    assert main(given) == 2
-    assert "would run the Python function 'maker:outputs'" in capsys.readouterr().err
-    assert not mark.exists()
-    main([*given, "--trust"])
-    assert mark.exists()
-
-
 def test_info_shows_the_hash_of_the_bundle(calibrated, tmp_path, capsys):
     save_bundle(tmp_path / "run", Bundle(calibrated(table(tmp_path), LOG), RunRecord(config={})))
     assert main(["info", str(tmp_path / "run"), "--json"]) == 0
@@ -193,16 +168,15 @@ def test_info_shows_the_hash_of_the_bundle(calibrated, tmp_path, capsys):
 FLIPS = 150
 
 
-@pytest.mark.parametrize("flips", [FLIPS, pytest.param(40 * FLIPS, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", ["bundle.json", "weights.safetensors"])
-def test_no_flipped_bit_gives_a_model(calibrated, tmp_path, name, flips):
+def test_no_flipped_bit_gives_a_model(calibrated, tmp_path, name):
     run = tmp_path / "run"
     save_bundle(
         run, Bundle(calibrated(fitted(tmp_path), LOG), RunRecord(seeds=[3], config={"name": "x"}))
     )
     file, random = run / name, np.random.default_rng(0)
     former = file.read_bytes()
-    for bit in random.choice(8 * len(former), min(flips, 8 * len(former)), replace=False):
+    for bit in random.choice(8 * len(former), min(FLIPS, 8 * len(former)), replace=False):
         data = bytearray(former)
         data[bit // 8] ^= 1 << (bit % 8)
         file.write_bytes(bytes(data))
@@ -223,16 +197,16 @@ def nodes(value, path=()):
             yield from nodes(value[key], (*path, key))
 
 
-@pytest.mark.parametrize("step", [7, pytest.param(1, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("make", [table, fitted])
-def test_garbage_with_a_fitting_hash_is_refused_or_runs(calibrated, tmp_path, make, step):
+def test_garbage_with_a_fitting_hash_is_refused_or_runs(calibrated, tmp_path, make):
     run = tmp_path / "run"
     record = RunRecord(config={"name": "x"}, data={"a.csv": "ab"}, seeds=[0])
     save_bundle(run, Bundle(calibrated(make(tmp_path), LOG), record))
     whole = json.loads((run / "bundle.json").read_text(encoding="utf-8"))
-    cases = [(path, value) for path in nodes(whole) if path for value in GARBAGE]
+    every = [(path, value) for path in nodes(whole) if path for value in GARBAGE]
+    cases = every[::7]  # `make fuzz` damages all of it
     refused = []
-    for path, value in cases[::step]:
+    for path, value in cases:
         document = json.loads(json.dumps(whole))
         part = document
         for key in path[:-1]:
@@ -243,7 +217,7 @@ def test_garbage_with_a_fitting_hash_is_refused_or_runs(calibrated, tmp_path, ma
             load_bundle(run).calibration.simulate(LOG[:5])
         except NarxcalError as error:
             refused.append((path, value, str(error)))
-    assert len(refused) > len(cases[::step]) // 2
+    assert len(refused) > len(cases) // 2
     assert [case for case in refused if str(run) not in case[2]] == []
 
 

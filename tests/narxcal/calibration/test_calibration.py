@@ -67,7 +67,7 @@ configs = st.builds(
 )
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 @given(config=configs, seed=st.integers(0, 99), settled=st.booleans(), cut=st.integers(2, 59))
 def test_steps_blocks_and_the_whole_are_one(config, seed, settled, cut):
     model, inputs = calibration(config, seed=seed), log(seed=seed)

@@ -75,7 +75,7 @@ def state_space(pole=0.95):
     return StateSpaceDynamics(StateSpace(*matrices, np.zeros((3, 3)), DT_S))
 
 
-@settings(deadline=None, max_examples=9, phases=[Phase.explicit, Phase.generate])
+@settings(max_examples=9, phases=[Phase.explicit, Phase.generate])
 @given(
     st.integers(0, 2**31),
     st.sampled_from([Form(governed=True), Form(), Form(limited=True)]),

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from narxcal.calibration.delay import DelayLine, TransportDelay
@@ -34,7 +34,6 @@ def log(seed=0, samples=60):
     return np.column_stack([rng.uniform(0.0, 80.0, samples), np.linspace(0.0, 9e3, samples)])
 
 
-@settings(deadline=None)
 @given(st.floats(0.0, 3.0), st.integers(1, 59))
 def test_a_line_shifts_by_whole_samples_and_a_part_of_one(delay_s, cut):
     inputs = log()

@@ -121,7 +121,6 @@ def test_equals_statsmodels_state_space_filter():
     share=st.floats(0.0, 1.0),
     spikes=st.floats(0.0, 0.2),
 )
-@settings(max_examples=60, deadline=None)
 def test_compiled_twin_shows_the_same_numbers_with_holes_spikes_and_steps(
     n_out, time, seed, share, spikes
 ):
@@ -139,7 +138,7 @@ def test_compiled_twin_shows_the_same_numbers_with_holes_spikes_and_steps(
 
 @BOTH
 @given(cut=st.integers(1, 39))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_run_is_reset_then_steps_however_it_is_cut(kind, cut):
     model = noise()
     p, _, z = simulated(model, 40, seed=5)

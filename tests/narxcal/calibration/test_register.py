@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from narxcal.calibration.register import OVERSHOOT, Parts, Register, Sample, stacked
@@ -87,7 +87,6 @@ def registers(draw):
     return Register(parts, start), ArrayRegister(parts, start), given[1:], ss[1:]
 
 
-@settings(max_examples=40, deadline=None)
 @given(
     case=registers(),
     cuts=st.sets(st.integers(1, 38), max_size=4),

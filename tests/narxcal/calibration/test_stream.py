@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from narxcal.support.errors import DataError
@@ -19,7 +19,6 @@ def model(plane, calibrated):
 
 
 @given(cuts=st.lists(st.integers(1, len(LOG) - 1), max_size=6, unique=True), start=st.booleans())
-@settings(max_examples=30, deadline=None)
 def test_blocks_of_any_size_give_the_numbers_of_one_simulation(model, cuts, start):
     first = np.array([55.0, 310.0]) if start else None
     whole = model.simulate(LOG, first)

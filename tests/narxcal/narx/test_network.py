@@ -25,7 +25,7 @@ def model(seed=0, inputs=2, outputs=2, **config):
     return NarxModel(net, *scalings)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 999), size=st.sampled_from([1.0, 1e6, 1e300]))
 def test_eighty_minutes_of_wild_inputs_stay_inside_the_bounds(seed, size):
     network = model(seed)
@@ -86,7 +86,7 @@ def test_scaling_is_undone_and_spares_constant_channels():
     assert Scaling.of(values, centred=False).centre.tolist() == [0.0, 0.0]
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(seed=st.integers(0, 99), moving=st.integers(0, 2), lags=st.integers(1, 3))
 def test_it_comes_back_from_json_and_arrays_as_it_was(seed, moving, lags):
     network = model(seed, moving=moving, lags=lags)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from narxcal.atmosphere import air_state
@@ -46,7 +46,6 @@ def model(seed=0, **changed):
     )
 
 
-@settings(max_examples=50, deadline=None)
 @given(at=inside, values=st.lists(st.floats(-50, 2000), min_size=5, max_size=5))
 def test_corrected_parameters_come_back_as_they_were(at, values):
     parts, given_, outputs = layout(), np.array([at]), np.array([values])
@@ -92,7 +91,6 @@ def test_an_input_the_model_lacks_counts_as_zero():
     assert same == pytest.approx(whole)
 
 
-@settings(max_examples=30, deadline=None)
 @given(count=st.integers(2, 9), at=st.lists(st.floats(0, 1), min_size=2, max_size=20))
 def test_every_spline_rises_and_equal_ones_make_a_straight_line(count, at):
     knots = np.linspace(0.0, 1.0, count)
@@ -104,7 +102,6 @@ def test_every_spline_rises_and_equal_ones_make_a_straight_line(count, at):
     np.testing.assert_allclose(total - total[0], (z - z[0]) * (count - 1), atol=1e-9)
 
 
-@settings(max_examples=40, deadline=None)
 @given(at=inside, other=st.floats(5.0, 75.0), seed=st.integers(0, 9))
 def test_more_driver_never_means_less_output_inside_the_envelope(at, other, seed):
     low, high = sorted((at[0], other))
@@ -113,7 +110,6 @@ def test_more_driver_never_means_less_output_inside_the_envelope(at, other, seed
     assert (pair[1] - pair[0] >= -1e-9).all()
 
 
-@settings(max_examples=30, deadline=None)
 @given(at=st.tuples(*(st.floats(-1e6, 1e6) for _ in range(4))))
 def test_corner_weights_are_shares(at):
     weights = layout().corners(np.array([at]), Envelope(LOW, HIGH))

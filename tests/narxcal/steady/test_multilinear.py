@@ -3,14 +3,13 @@
 import time
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
 from narxcal.steady.table import Multilinear
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     lengths=st.lists(st.integers(2, 5), min_size=1, max_size=4),
     outputs=st.integers(1, 3),

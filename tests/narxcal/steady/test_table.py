@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -29,7 +29,6 @@ def scattered(rows=60):
     return SteadyTable(NAMES, points, plane(points)), points
 
 
-@settings(max_examples=40, deadline=None)
 @given(
     values=hnp.arrays(np.float64, (12, 2), elements=st.floats(-1e4, 1e4, width=32)),
     method=st.sampled_from(["linear", "pchip"]),
@@ -44,7 +43,6 @@ def test_a_grid_is_exact_at_its_nodes_in_any_row_order(values, method, seed):
     assert table.inside(points).all()
 
 
-@settings(max_examples=40, deadline=None)
 @given(
     steps=hnp.arrays(np.float64, (4, 3), elements=st.floats(0, 100, width=32)),
     method=st.sampled_from(["linear", "pchip"]),
@@ -58,7 +56,6 @@ def test_a_table_monotone_in_the_driver_stays_monotone_between_the_nodes(steps, 
     assert (np.diff(along) >= -1e-9).all()
 
 
-@settings(max_examples=30, deadline=None)
 @given(inputs=hnp.arrays(np.float64, (6, 2), elements=st.floats(-1e7, 1e7)))
 def test_outputs_never_leave_the_range_of_the_table(inputs):
     rng = np.random.default_rng(1)

@@ -5,7 +5,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from narxcal.effects import effect
@@ -25,7 +25,6 @@ def frame_of(record):
     return Frame(record, Metric(record, assumed_variance(record)), record.gap, nuisances(record))
 
 
-@settings(deadline=None)  # the first call compiles
 @given(st.lists(st.floats(-5, 5), min_size=1, max_size=9), st.floats(0.0, 4.0))
 def test_the_path_is_the_best_of_all_paths(gain, penalty):
     gain = np.array(gain)

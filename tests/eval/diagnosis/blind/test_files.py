@@ -34,7 +34,7 @@ SEALED = sealed(KEY, "secret", SALT)
 
 
 @pytest.mark.slow
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.integers(0, 10**6), st.integers(1, 255))
 def test_any_changed_byte_is_noticed(place, flip):
     content = bytearray(SEALED)
