@@ -1,4 +1,4 @@
-"""What an operating system has to do: exchange two names in one step, lock a folder, free memory.
+"""What an operating system has to do: lock an output, free memory.
 
 Written for Linux, macOS and Windows. Locks end with the process that holds them, however it ends,
 and are meant for local file systems.
@@ -7,7 +7,6 @@ and are meant for local file systems.
 from __future__ import annotations
 
 import ctypes
-import errno
 import os
 import socket
 import sys
@@ -20,39 +19,6 @@ from narxcal.support.errors import ConfigError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-# <linux/fs.h>: RENAME_EXCHANGE; <sys/stdio.h> of macOS: RENAME_SWAP; both are 2.
-_EXCHANGE = 2
-# <fcntl.h> of Linux: "relative to the working directory".
-_AT_FDCWD = -100
-_NOT_OFFERED = {errno.ENOSYS, errno.EINVAL, errno.ENOTSUP, errno.EPERM}
-# <winnt.h>, <winerror.h>
-_QUERY_LIMITED_INFORMATION, _ACCESS_DENIED = 0x1000, 5
-
-
-def exchange(first: Path, second: Path) -> bool:
-    """Exchange two existing files or folders of one file system in one step.
-
-    Returns False, with nothing changed, where system or file system offers no such step.
-
-    Raises `OSError` as a renaming does.
-    """
-    if sys.platform == "win32":
-        return False
-    libc = ctypes.CDLL(None, use_errno=True)
-    names = os.fsencode(first), os.fsencode(second)
-    if hasattr(libc, "renameat2"):
-        failed = libc.renameat2(_AT_FDCWD, names[0], _AT_FDCWD, names[1], _EXCHANGE)
-    elif hasattr(libc, "renamex_np"):
-        failed = libc.renamex_np(*names, _EXCHANGE)
-    else:
-        return False
-    if not failed:
-        return True
-    number = ctypes.get_errno()
-    if number in _NOT_OFFERED:
-        return False
-    raise OSError(number, os.strerror(number), str(first))
-
 
 def release_memory() -> None:
     """Give freed memory back to the system, where its C library (glibc) would keep it.
@@ -62,65 +28,6 @@ def release_memory() -> None:
     """
     if sys.platform != "win32" and hasattr(libc := ctypes.CDLL(None), "malloc_trim"):
         libc.malloc_trim(0)
-
-
-def is_running(pid: int) -> bool:
-    """Whether a process of this machine has the number `pid`."""
-    if sys.platform == "win32":
-        # os.kill would end the process here.
-        kernel = ctypes.WinDLL("kernel32", use_last_error=True)
-        process = kernel.OpenProcess(_QUERY_LIMITED_INFORMATION, 0, pid)
-        if not process:
-            return bool(ctypes.get_last_error() == _ACCESS_DENIED)
-        kernel.CloseHandle(process)
-        return True
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    return True
-
-
-@contextmanager
-def marked_alive(descriptor: int) -> Iterator[None]:
-    """Lock an open file or folder while the block runs, so that `is_abandoned` denies it."""
-    _lock(descriptor)
-    yield
-
-
-@contextmanager
-def folder_alive(folder: Path) -> Iterator[None]:
-    """As `marked_alive`, of a folder; where the system opens no folder, its process is the mark."""
-    try:
-        descriptor = os.open(folder, os.O_RDONLY)
-    except OSError:
-        yield
-        return
-    try:
-        _lock(descriptor)
-        yield
-    finally:
-        os.close(descriptor)
-
-
-def is_abandoned(path: Path, pid: int) -> bool:
-    """Whether nobody writes a temporary file or folder that process `pid` began.
-
-    The number alone does not say: in another container that shares the disk it is that of another
-    process, or of none. Who writes holds a lock on it, which ends with the process.
-    """
-    if is_running(pid):
-        return False
-    try:
-        descriptor = os.open(path, os.O_RDONLY)
-    except OSError:
-        return True
-    try:
-        return _lock(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 @contextmanager

@@ -18,7 +18,7 @@ from training.methods import write_checkpoint
 from training.network import TrainingState
 
 pytestmark = pytest.mark.slow
-HOW = pytest.mark.parametrize(("exchange", "power"), [(True, False), (True, True), (False, True)])
+HOW = pytest.mark.parametrize("power", [False, True])
 WHOLE_RUN = ["bundle.json", "weights.safetensors"]
 
 
@@ -43,14 +43,10 @@ def quietly(*words):
 
 
 @HOW
-def test_a_training_killed_anywhere_is_resumed_to_the_same_model(
-    training, tmp_path, exchange, power
-):
+def test_a_training_killed_anywhere_is_resumed_to_the_same_model(training, tmp_path, power):
     run = tmp_path / "run"
     kills = 0
-    for event in killed_everywhere(
-        tmp_path, lambda: quietly(*training, run), exchange=exchange, power=power
-    ):
+    for event in killed_everywhere(tmp_path, lambda: quietly(*training, run), power=power):
         if (run / "bundle.json").exists():
             load_bundle(run)
         kills += event is not None
@@ -63,9 +59,7 @@ def test_a_training_killed_anywhere_is_resumed_to_the_same_model(
 
 
 @HOW
-def test_going_on_with_a_training_may_be_killed_anywhere(
-    project, training, tmp_path, exchange, power
-):
+def test_going_on_with_a_training_may_be_killed_anywhere(project, training, tmp_path, power):
     """What Ctrl-C kept, its best network and its checkpoints, is there until the new model is."""
     run, kept = tmp_path / "run", tmp_path.with_name(f"{tmp_path.name}-kept")
     trained = load_bundle(project / "run")
@@ -76,7 +70,7 @@ def test_going_on_with_a_training_may_be_killed_anywhere(
     shutil.copytree(kept, run)
     seen = set()
     for event in killed_everywhere(
-        tmp_path, lambda: quietly(*training, run, "--resume"), exchange=exchange, power=power
+        tmp_path, lambda: quietly(*training, run, "--resume"), power=power
     ):
         seen.add(load_bundle(run).record.interrupted)
         quietly(*training, run, "--resume")
@@ -88,7 +82,7 @@ def test_going_on_with_a_training_may_be_killed_anywhere(
     assert seen == {True, False}
 
 
-def replaced_or_not(folder, write, how):
+def replaced_or_not(folder, write, power):
     """Kill `write`, which replaces `out` in `folder`, everywhere: its whole content or the old."""
     out = folder / "out"
     write()
@@ -101,8 +95,8 @@ def replaced_or_not(folder, write, how):
             (folder / name).write_bytes(text)
 
     put_former()
-    for event in killed_everywhere(folder, write, exchange=how[0], power=how[1]):
-        if out.exists() or how[0]:
+    for event in killed_everywhere(folder, write, power=power):
+        if out.exists():
             assert tree(out) in (former, new)
             seen.append(tree(out) == new)
         write()
@@ -114,34 +108,34 @@ def replaced_or_not(folder, write, how):
 
 
 @HOW
-def test_results_of_an_evaluation(project, tmp_path, monkeypatch, exchange, power):
+def test_results_of_an_evaluation(project, tmp_path, monkeypatch, power):
     found = evaluate.Report(None, type("Outcome", (), {"exit_code": 0}), DOCUMENT, "<p>a: b</p>")
     monkeypatch.setattr(evaluate, "logs_for", lambda *_: [])
     monkeypatch.setattr(evaluate, "judge", lambda *_: found)
     monkeypatch.setattr(evaluate, "show", lambda *_: None)
     command = ("evaluate", project / "run", "--out", tmp_path / "out")
-    replaced_or_not(tmp_path, lambda: quietly(*command), (exchange, power))
+    replaced_or_not(tmp_path, lambda: quietly(*command), power)
 
 
 DOCUMENT = {"schema": "narxcal.evaluate/1", "logs": []}
 
 
 @HOW
-def test_logs_of_virtual_flights(tmp_path, monkeypatch, exchange, power):
+def test_logs_of_virtual_flights(tmp_path, monkeypatch, power):
     log = flying._Written("flight_01_left.csv", b"time_s: 1\n" * 500, b"true: 1\n" * 500, {})
     monkeypatch.setattr(flying, "in_processes", lambda *_: iter([[log]]))
     monkeypatch.setattr(flying, "_truth", lambda *_: {"schema": fly.TRUTH_SCHEMA, "logs": []})
     monkeypatch.setattr(fly, "_show", lambda *_: None)
     command = ("fly", "fly_line", "--truth-channels", "--out", tmp_path / "out")
-    replaced_or_not(tmp_path, lambda: quietly(*command), (exchange, power))
+    replaced_or_not(tmp_path, lambda: quietly(*command), power)
 
 
 @HOW
-def test_a_replayed_log(project, tmp_path, monkeypatch, exchange, power):
+def test_a_replayed_log(project, tmp_path, monkeypatch, power):
     monkeypatch.setattr("narxcal.cli.replay._findings", lambda *_: ())
     table = (project / "flights" / "flight_3.csv").read_text(encoding="utf-8").splitlines()
     log = tmp_path.with_name(f"{tmp_path.name}.csv")
     log.write_text("\n".join(table[:400]), encoding="utf-8")
     command = ("replay", project / "run", log, "--overwrite", "--out", tmp_path / "out")
-    replaced_or_not(tmp_path, lambda: quietly(*command), (exchange, power))
+    replaced_or_not(tmp_path, lambda: quietly(*command), power)
     assert json.loads((project / "run/bundle.json").read_text(encoding="utf-8"))["sha256"]
