@@ -22,7 +22,7 @@ from eval.outcome import Outcome, plural
 from eval.run_logs import EvaluateConfig, run_config
 from eval.scores import ChannelScores, score
 from narxcal.calibration.bundle import Bundle
-from narxcal.calibration.certificate import Certificate, certificate_of
+from narxcal.calibration.certificate import Certificate
 from narxcal.channels import described, symbol
 from narxcal.steady.model import Envelope, SteadyStateModel
 from narxcal.support.errors import ConfigError
@@ -424,12 +424,7 @@ def evaluate(
     for number, log in enumerate(logs):
         progress(number, len(logs), log.name)
         found.append(assess_log(bundle, log, settings, trim=trim))
-    return Evaluation(tuple(found), settings, trim, mixture_sentences(bundle), certificate(bundle))
-
-
-def certificate(bundle: Bundle) -> Certificate:
-    """Whether the model settles at constant inputs, as stored or as found now."""
-    return certificate_of(bundle.calibration, bundle.record.certificate)
+    return Evaluation(tuple(found), settings, trim, mixture_sentences(bundle), bundle.certificate)
 
 
 def outside_envelopes(bundle: Bundle, found: Evaluation) -> list[str]:

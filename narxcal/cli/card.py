@@ -13,9 +13,9 @@ from narxcal.calibration.bundle import load_bundle
 from narxcal.cli.console import Console
 from narxcal.cli.diagnose import DOCUMENT as GAP
 from narxcal.cli.options import add_data, add_overwrite, add_trust, minutes, path
+from narxcal.cli.results import check_pair
 from narxcal.flight_test.moves import Limits
-from narxcal.support.errors import ConfigError
-from narxcal.support.files import atomic_write_text, check_file, to_json
+from narxcal.support.files import atomic_write_text, to_json
 from narxcal.support.progress import Progress
 
 
@@ -47,14 +47,7 @@ def add_options(parser: ArgumentParser) -> None:
 
 def run(options: Namespace, console: Console) -> int:
     """Plan the flight and write page and document."""
-    document = options.out.with_suffix(".json")
-    if options.out.suffix != ".html":
-        raise ConfigError(
-            f"the page is a .html file, and --out names {options.out.name}",
-            hint=f"Name it {options.out.stem or 'card'}.html",
-        )
-    for out in (options.out, document):
-        check_file(out, options.source, options.aircraft, overwrite=options.overwrite)
+    document = check_pair(options, "the page", (".html", ".json"), options.source, options.aircraft)
     wanted = Wanted(Limits.read(options.aircraft), options.minutes, options.criterion)
     with console.progress("Planning") as advance:
         card = _card(options, wanted, advance)
@@ -69,10 +62,7 @@ def run(options: Namespace, console: Console) -> int:
     atomic_write_text(document, to_json(found))
     console.table("Card", CONSOLE_HEAD, console_rows(card))
     console.say(card.headline)
-    for text in card.cautions:
-        console.warn(text)
-    console.say(f"Page: {options.out} and {document.name}")
-    console.document(found)
+    console.finish(found, f"Page: {options.out} and {document.name}", card.cautions)
     return 0
 
 

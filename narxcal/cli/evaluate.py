@@ -10,7 +10,7 @@ from typing import Any
 
 from data_prep.log import Log
 from eval import terminal
-from eval.evaluate import SCHEMA, Evaluation, certificate
+from eval.evaluate import SCHEMA, Evaluation
 from eval.outcome import Outcome
 from eval.report.page import evaluate_page
 from eval.results import changed
@@ -82,7 +82,7 @@ def judge(
     config, settings = run_config(bundle)
     title, rules = f"Evaluation: {config.name}", settings.transients.rule_set
     header = header_of(title, run_folder, bundle, logs, rules)
-    facts = {**header.facts, "Constant inputs": certificate(bundle).words}
+    facts = {**header.facts, "Constant inputs": bundle.certificate.words}
     with console.progress("Drawing the page"):
         header = replace(header, facts=facts, cautions=warnings)
         html = evaluate_page(header, found.views, found.outcome)

@@ -11,7 +11,7 @@ import numpy as np
 
 from narxcal.calibration.bundle import Bundle, load_bundle, read_document
 from narxcal.calibration.calibration import DynamicCalibration
-from narxcal.calibration.certificate import Certificate, certificate_of
+from narxcal.calibration.certificate import Certificate
 from narxcal.calibration.run_record import RunRecord
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_run
@@ -94,7 +94,7 @@ def _document(run: str, bundle: Bundle, stored: dict[str, Any]) -> dict[str, Any
             "words": interval_words(calibration.interval, names=calibration.output_names),
             "held_out": 0 if calibration.interval is None else calibration.interval.pieces,
         },
-        "certificate": certificate_of(calibration, record.certificate).row(),
+        "certificate": bundle.certificate.row(),
         "deviation_bounds": {
             name: [float(low[k]), float(high[k])]
             for k, name in enumerate(calibration.output_names)

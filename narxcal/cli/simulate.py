@@ -28,7 +28,6 @@ from eval.diagnosis.simulators import Simulate, open_simulator
 from eval.run_logs import bank_of
 from narxcal.calibration.bundle import Bundle, load_bundle
 from narxcal.calibration.calibration import Calibration
-from narxcal.calibration.certificate import certificate_of
 from narxcal.channels import CHANNELS
 from narxcal.cli.console import Console
 from narxcal.cli.options import SIMULATOR, add_interval, add_mapping, add_overwrite, add_trust, path
@@ -103,7 +102,7 @@ def run(options: Namespace, console: Console) -> int:
     console = console.for_output(options.out)
     check_file(options.out, options.inputs, options.bundle, overwrite=options.overwrite)
     bundle = load_bundle(options.bundle, trust=options.trust)
-    settling = certificate_of(bundle.calibration, bundle.record.certificate)
+    settling = bundle.certificate
     if not settling.settled:
         console.warn(f"the model {settling.words}")
     logs = read_inputs(bundle, Path(options.inputs))

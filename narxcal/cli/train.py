@@ -20,7 +20,6 @@ from narxcal.calibration.bundle import (
     settle_bundle,
     write_bundle,
 )
-from narxcal.calibration.certificate import certificate_of
 from narxcal.calibration.run_record import RunRecord
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_config
@@ -177,7 +176,7 @@ def _show(console: Console, folder: Path, bundle: Bundle) -> None:
         "Interval": interval_words(
             bundle.calibration.interval, names=bundle.calibration.output_names
         ),
-        "Constant inputs": certificate_of(bundle.calibration, record.certificate).words,
+        "Constant inputs": bundle.certificate.words,
     }
     console.facts({name: words for name, words in facts.items() if words})
     ends = [

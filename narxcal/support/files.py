@@ -258,12 +258,14 @@ def check_writable(path: str | PathLike[str]) -> None:
 class Results:
     """A folder of results: what a command writes there, known by `document` and its `schema`.
 
-    `document` is the JSON file that every such folder has, `others` further names at its top.
+    `document` is the JSON file that every such folder has, `others` further names at its top, and
+    `pattern` a regular expression of names of which there may be any number.
     """
 
     schema: str
     document: str
     others: tuple[str, ...] = ()
+    pattern: str = ""
 
     def check(self, folder: Path) -> None:
         """Refuse, before any work is done, a folder with content that this command never wrote.
@@ -282,6 +284,7 @@ class Results:
             str(entry.relative_to(target))
             for entry in sorted(target.iterdir())
             if entry.name not in {self.document, *self.others, *folders}
+            and not re.fullmatch(self.pattern, entry.name)
         ]
         for name in folders:
             inner = target / name
