@@ -8,15 +8,19 @@ import time
 import warnings
 import zlib
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from io import StringIO
-from typing import TYPE_CHECKING, Any, TextIO
+from pathlib import Path
+from typing import Any, TextIO
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
+from data_prep.config import LogsConfig
+from data_prep.log import Action
 from data_prep.text_file import (
     DELIMITERS,
     Dialect,
@@ -29,15 +33,6 @@ from data_prep.text_file import (
 from data_prep.words import is_no_value, plain
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
-
-if TYPE_CHECKING:
-    from collections.abc import Generator, Iterable, Iterator, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from data_prep.config import LogsConfig
-    from data_prep.log import Action
 
 _BLOCK_CHARS = 20_000_000  # a block ends here although more lines were wanted: bounded memory
 _SHOWN_CHARS = 40

@@ -11,19 +11,14 @@ parts again, in which gaps are samples that nobody measured.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from data_prep.log import LONG_SPAN_S, Audit, AuditEntry, Log
+from data_prep.log import LONG_SPAN_S, Action, Audit, AuditEntry, Log
 from narxcal.channels import described
 from narxcal.support.arrays import BoolArray, FloatArray, runs
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
-    from data_prep.log import Action
 
 ON_GRID = 0.01  # of the interval: samples closer than this to a grid time are on it
 OWN_INTERVALS = 2.5  # a slower channel may miss one of its own samples

@@ -9,32 +9,27 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
-from typing import TYPE_CHECKING, NamedTuple
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from data_prep.binary_source import open_binary
-from data_prep.columns import constants, head_entries, map_columns, sources_of, to_channel
+from data_prep.columns import Table, constants, head_entries, map_columns, sources_of, to_channel
+from data_prep.config import LogsConfig
 from data_prep.csv_source import Counts, Pace, open_csv, readable
 from data_prep.log import CODE_WORD, AuditEntry
 from data_prep.stamps import DAY_S, Passed, clock_goes_on, ordered_rows
 from data_prep.stream import GridStream
 from data_prep.words import CodeWords, Labels, switch
 from narxcal.channels import described
+from narxcal.support.arrays import FloatArray, IntArray
 from narxcal.support.errors import DataError, did_you_mean
 from narxcal.support.files import sha256_of
 from narxcal.support.moments import stamp
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from data_prep.columns import Table
-    from data_prep.config import LogsConfig
-    from narxcal.support.arrays import FloatArray, IntArray
 
 # Numbers in a block: 40 MB. A recording of hours is one block, so that the rate of the rows and of
 # each channel is found from all of it; in a larger file they are found from blocks of this size.

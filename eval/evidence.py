@@ -29,25 +29,20 @@ The errors on held-out logs hold the noise of the sensors. A tenth of the least 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from scipy.stats import beta
 from scipy.stats import t as student
 
+from data_prep.identity import Shared
 from data_prep.log import Log
-from narxcal.calibration.run_record import MixtureChannel
+from eval.free_run import FreeRun
+from narxcal.calibration.run_record import MixtureChannel, RunRecord
 from narxcal.channels import described, symbol
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from data_prep.identity import Shared
-    from eval.free_run import FreeRun
-    from narxcal.calibration.run_record import RunRecord
-    from training.transients import Assessment
+from training.transients import Assessment
 
 BLANK: Final = "blank"  # why `data_prep.grid` filled a sample: no row held it
 _SCATTER, _PRIOR_LOGS, _FALSE_ALARMS = 0.35, 3.0, 0.05

@@ -7,17 +7,15 @@ one upload, which is atomic there, elsewhere under another name first.
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from narxcal.support.errors import ConfigError, DataError, NarxcalError
 from narxcal.support.files import atomic_write_bytes
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
 
 _SCHEMES = ("abfs", "az", "gcs", "gs", "memory", "s3", "s3a", "sftp")
 _ATOMIC = {"s3", "s3a", "gs", "gcs", "az", "abfs", "memory"}

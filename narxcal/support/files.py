@@ -26,18 +26,14 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import IO, Any, TextIO
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from narxcal.support.errors import ConfigError
-
-if TYPE_CHECKING:
-    from os import PathLike
-    from typing import IO, Any, TextIO
-
-    from numpy.typing import ArrayLike
 
 STDOUT = Path("-")
 TIME_FORMAT = "%.15g"
