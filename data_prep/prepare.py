@@ -103,7 +103,7 @@ class Prepared:
             "masked": _all_masked(self.log),
             "coded": _coded(self.log),
             "outputs": _unrecorded(self.log, self.outputs, self.tables.logs),
-            "rate": _seldom(self.log, self.tables.events),
+            "rate": _slow_rate(self.log, self.tables.events),
             "driver": other_driver(self.log, self.tables.events.driver),
             "condition": needs_condition(self.log, self.tables.events),
             "window": blurs(self.tables.smooth, self.log.dt_s),
@@ -222,7 +222,7 @@ def _coded(log: Log) -> str:
     return f"half of the samples or more are code words: {', '.join(most)}" if most else ""
 
 
-def _seldom(log: Log, events: EventsConfig) -> str:
+def _slow_rate(log: Log, events: EventsConfig) -> str:
     """Warn of channels whose sampling interval exceeds the tolerance on Ti and Tt."""
     filled = {entry.channel: entry.samples for entry in log.audit.entries if entry.reason == SLOW}
     slow = []

@@ -65,7 +65,7 @@ class Passed(NamedTuple):
 _NOTHING = Passed()
 
 
-def past(
+def unwrap_clock(
     period_s: float,
     stamps: FloatArray,
     so_far: tuple[float, int] = (np.nan, 0),
@@ -105,8 +105,8 @@ def clock_goes_on(
     going_on, hours = stamps, passed.hours
     if passed.hourly:
         since = before_s - passed.days * DAY_S
-        going_on, hours = past(_HOUR_S, stamps, (since, hours), max_gap_s)
-    daily, days = past(DAY_S, going_on, (before_s, passed.days))
+        going_on, hours = unwrap_clock(_HOUR_S, stamps, (since, hours), max_gap_s)
+    daily, days = unwrap_clock(DAY_S, going_on, (before_s, passed.days))
     entries = (
         AuditEntry("*", "repaired", FULL_HOUR, int((going_on > stamps).sum())),
         AuditEntry("*", "repaired", MIDNIGHT, int((daily > going_on).sum())),

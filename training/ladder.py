@@ -48,11 +48,11 @@ from training.search import (
     MEAN,
     SHORTEST,
     WINDOW,
+    Budget,
     Form,
     RecordFold,
     Search,
     Tried,
-    Work,
     beats,
     by_piece,
     record_folds,
@@ -150,7 +150,7 @@ def choose(
         )
     # More threads than one would only wait for each other, which is processor time, too.
     with threadpool_limits(limits=1):
-        work = Work(limits.time_limit_s)
+        work = Budget(limits.time_limit_s)
         folds = divide(long, work.budget, validation)
         search = Search(long, folds, work, limits.seed, progress)
         if not folds:

@@ -142,7 +142,7 @@ def least_squares_cost(samples: float, width: int) -> float:
     return samples * width**2 / _LEAST_SQUARES
 
 
-class Work:
+class Budget:
     """Nominal microseconds spent of a budget, within a limit of processor time.
 
     `cut` is whether the clock shortened anything.
@@ -187,7 +187,7 @@ class Search:
 
     records: list[Record]
     folds: list[RecordFold]
-    work: Work
+    work: Budget
     seed: int
     progress: Progress
     tried: list[Tried] = field(default_factory=list)

@@ -139,7 +139,7 @@ class Calibration(ABC):
                 )
         return self._with(delay=delay)
 
-    def acting(self, inputs: FloatArray) -> FloatArray:
+    def delayed_inputs(self, inputs: FloatArray) -> FloatArray:
         """Inputs (time, n_in) as they act on the engine: behind the delay, where there is one."""
         if self.delay is None:
             return inputs
@@ -147,7 +147,7 @@ class Calibration(ABC):
 
     def settled(self, inputs: ArrayLike) -> FloatArray:
         """Steady states (time, n_out) that a run over `inputs` (time, n_in) follows."""
-        return self._steady_over(self.acting(self._checked(inputs)))
+        return self._steady_over(self.delayed_inputs(self._checked(inputs)))
 
     def _steady_over(self, given: FloatArray) -> FloatArray:
         """Steady states (time, n_out) at inputs as they act."""
@@ -254,7 +254,7 @@ class Calibration(ABC):
         return self.interval.at(np.abs(self.settled(inputs) - outputs), share)
 
     def _simulated(self, inputs: ArrayLike, start: ArrayLike | None) -> FloatArray:
-        given = self.acting(self._checked(inputs))
+        given = self.delayed_inputs(self._checked(inputs))
         return self.run(given, self._steady_over(given), start)
 
     def run(self, inputs: FloatArray, ss: FloatArray, start: ArrayLike | None) -> FloatArray:
@@ -304,7 +304,7 @@ class Calibration(ABC):
 
         NaN where the past is unknown: at sample 0 and after a masked one.
         """
-        given = self.acting(self._checked(inputs))
+        given = self.delayed_inputs(self._checked(inputs))
         ss = self._steady_over(given)
         known = np.asarray(by_name(measured, self.output_names), dtype=np.float64)
         outputs = self._prediction(given, ss, known)
