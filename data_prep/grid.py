@@ -40,7 +40,6 @@ class Grid:
 
     @property
     def time_s(self) -> FloatArray:
-        """The times `(samples,)`."""
         return self.start_s + np.arange(self.samples, dtype=np.float64) * self.interval_s
 
     def steps(self, time: FloatArray) -> FloatArray:
@@ -177,7 +176,6 @@ def _account(
 
 
 def _times(flags: BoolArray, grid: Grid) -> tuple[tuple[float, float], ...]:
-    """List the runs of True as (first, last) times."""
     starts, stops = runs(flags)
     time = grid.time_s
     return tuple(zip(time[starts].tolist(), time[stops - 1].tolist(), strict=True))
@@ -199,7 +197,6 @@ class StreamAudit:
         self._interval_s = 1.0
 
     def count(self, channel: str, action: Action, reason: str, samples: int) -> None:
-        """Add `samples`."""
         key = channel, action, reason
         self._samples[key] = self._samples.get(key, 0) + samples
 

@@ -76,7 +76,6 @@ class LogFile:
         return frozenset(name for columns in self._columns.values() for name in columns)
 
     def sha256(self) -> str:
-        """Hash of the file's bytes."""
         with readable(self.path):
             return sha256_of(self.path)
 
@@ -174,7 +173,6 @@ class LogFile:
             yield _one_block(waiting)
 
     def stream(self, dt_s: float, look_ahead_s: float, rows_s: float | None = None) -> GridStream:
-        """Return the stream that puts the rows of one engine on a grid of `dt_s`."""
         known = constants(self._sources)
         return GridStream(
             self.config, dt_s, look_ahead_s, str(self.path), known, self.hourly, rows_s
@@ -216,7 +214,6 @@ class _Part(NamedTuple):
 
     @property
     def span_s(self) -> tuple[float, float]:
-        """First and last stamp."""
         return float(self.time_s[0]), float(self.time_s[-1])
 
 
@@ -256,7 +253,6 @@ class Flight:
 
     @property
     def truncated(self) -> bool:
-        """Whether one of the files broke off within a row."""
         return any(file.truncated for file in self.files)
 
     def sha256(self) -> str:
@@ -284,7 +280,6 @@ class Flight:
         yield {engine: _joined(parts) for engine, parts in whole.items() if parts}
 
     def large_blocks(self) -> Iterator[dict[str, Rows]]:
-        """Yield the same for all engines."""
         return self.blocks(self.engines)
 
     def counted(self) -> dict[str, Counts]:

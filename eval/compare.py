@@ -78,7 +78,6 @@ class Row:
     coverage_90: float | None = None
 
     def document(self) -> dict[str, Any]:
-        """One entry of `rows`."""
         return {**vars(self), "ti_tt": None if self.ti_tt is None else self.ti_tt.row()}
 
 
@@ -99,7 +98,6 @@ class Comparison:
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """Channels of all models."""
         return self.recordings[0].channels
 
     def summary(self) -> list[str]:

@@ -62,7 +62,6 @@ class FoldResult:
     not_judged: tuple[str, ...] = ()
 
     def row(self) -> dict[str, Any]:
-        """One entry of `folds` in `crossval.json`."""
         names = {key: list(getattr(self, key)) for key in ("train", "test", "not_judged")}
         return {"name": self.name, "seed": self.seed, **names, "values": self.figures}
 
@@ -78,7 +77,6 @@ class CrossValidation:
 
     @property
     def schemes(self) -> dict[str, tuple[FoldResult, ...]]:
-        """Scheme -> its folds."""
         names = dict.fromkeys(fold.scheme for fold in self.folds)
         return {name: tuple(f for f in self.folds if f.scheme == name) for name in names}
 
@@ -211,7 +209,6 @@ def spread(folds: Sequence[FoldResult]) -> dict[str, dict[str, float | None]]:
 
 
 def total(folds: Sequence[FoldResult], key: str) -> int:
-    """Sum of a count over folds."""
     return sum(int(fold.figures.get(key) or 0) for fold in folds)
 
 

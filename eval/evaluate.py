@@ -51,7 +51,6 @@ class Evaluation:
 
     @property
     def assessments(self) -> list[Assessment]:
-        """Those of all logs."""
         return [each for log in self.logs for each in log.assessments]
 
     @property
@@ -204,7 +203,6 @@ class Evaluation:
 
     @property
     def findings(self) -> list[Finding]:
-        """Those of all logs."""
         return [each for log in self.logs for each in log.log.findings]
 
     def _failed_times(self) -> list[str]:

@@ -182,7 +182,6 @@ class Count:
         return 100.0 * float(low)
 
     def row(self) -> dict[str, Any]:
-        """For JSON."""
         return {**asdict(self), "at_least_pct": self.at_least_pct}
 
 

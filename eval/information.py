@@ -173,7 +173,6 @@ class Experiment:
 
     @cached_property
     def parameters(self) -> Parameters:
-        """Dynamic parameters of the run."""
         return parameters_of(self.bundle)
 
     @cached_property

@@ -67,7 +67,6 @@ class LogEvaluation:
 
     @property
     def assessments(self) -> list[Assessment]:
-        """Those of all events, event by event."""
         return [each for event in self.events for each in event.assessments]
 
     def row(self) -> dict[str, Any]:

@@ -515,7 +515,6 @@ class _Replay:
 
     @property
     def _has_interval(self) -> bool:
-        """Whether the bundle has an interval of the free run."""
         return self.model.calibration.interval is not None
 
     def _engines(self, log: Path) -> tuple[str, ...]:

@@ -62,12 +62,10 @@ class Key(NamedTuple):
 
     @property
     def who(self) -> str:
-        """Tail and engine."""
         return f"{self.tail} {self.engine}".strip()
 
     @property
     def what(self) -> str:
-        """Quantity and output."""
         error = " error" if self.quantity in ("Ti", "Tt") else ""
         return f"{self.quantity}{error} of {symbol(self.channel)}"
 
@@ -109,7 +107,6 @@ class Alarm:
 
     @property
     def engines(self) -> tuple[str, ...]:
-        """Engines that changed."""
         return tuple(sorted({key.engine for key, _ in self.changes}))
 
     def row(self) -> dict[str, Any]:

@@ -163,7 +163,6 @@ class HalfWidths:
         return np.stack(columns, axis=1)
 
     def to_json(self) -> dict[str, Any]:
-        """JSON-able."""
         return {
             "held_out": self.pieces,
             "levels": list(LEVELS),

@@ -149,7 +149,6 @@ class ResponseFromSteady:
 
     @property
     def output_names(self) -> Sequence[str]:
-        """The output alone."""
         return (self.output,)
 
     @property
@@ -179,7 +178,6 @@ class ResponseFromSteady:
         return found
 
     def simulate(self, values: Mapping[str, complex], u: FloatArray) -> NDArray[Any]:
-        """Output (time, 1)."""
         y, _ = respond(u[:, 0], u[:, 1:] @ self.logs(values), self.dt_s)
         return y[:, None]
 
@@ -208,7 +206,6 @@ class StateSpace:
 
     @property
     def order(self) -> int:
-        """Number of states."""
         return len(self.A)
 
     @property
@@ -219,7 +216,6 @@ class StateSpace:
 
     @property
     def stable(self) -> bool:
-        """Whether all poles lie inside the unit circle."""
         return bool(np.all(np.abs(self.poles) < 1.0))
 
     @property
@@ -256,12 +252,10 @@ class StateSpace:
         return np.array(found)
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-able."""
         return {k: getattr(self, k).tolist() for k in "ABCD"} | {"dt_s": self.dt_s}
 
     @classmethod
     def from_dict(cls, stored: dict[str, Any]) -> StateSpace:
-        """Inverse of `to_dict`."""
         A, B, C, D = (np.array(stored[k], dtype=np.float64) for k in "ABCD")
         return cls(A, B, C, D, float(stored["dt_s"]))
 

@@ -109,7 +109,6 @@ class Choice:
         result: Mapping[str, Any],
         arrays: Mapping[str, FloatArray],
     ) -> Self:
-        """Inverse of `to_arrays`."""
         after, errors, piece = (np.asarray(arrays[f"{_INTERVALS}{name}"]) for name in _PARTS)
         own = {name: array for name, array in arrays.items() if not name.startswith(_INTERVALS)}
         return cls(

@@ -196,7 +196,6 @@ class FitResult:
         result: Mapping[str, Any],
         arrays: Mapping[str, FloatArray],
     ) -> Self:
-        """Inverse of `to_arrays`."""
         return cls(
             model=NarxModel.from_arrays(network, arrays),
             status=result["status"],

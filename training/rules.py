@@ -37,7 +37,6 @@ class Tolerance:
         return max(self.share * abs(flight_s), self.floor_s)
 
     def scaled(self, share: float) -> Tolerance:
-        """Return that share of it."""
         return Tolerance(self.share * share, self.floor_s * share)
 
     def __str__(self) -> str:

@@ -163,7 +163,6 @@ class Budget:
         return min(by_count, in_time)
 
     def spend(self, units: float) -> None:
-        """Count work that is done."""
         self.spent += units
 
     def late(self) -> bool:
@@ -203,13 +202,11 @@ class Search:
 
     @property
     def inputs(self) -> int:
-        """Number of inputs."""
         count: int = self.records[0].u.shape[1]
         return count
 
     @property
     def outputs(self) -> int:
-        """Number of outputs."""
         count: int = self.records[0].y.shape[1]
         return count
 
@@ -260,7 +257,6 @@ class Search:
         self.progress(round(100.0 * share), 100, what)
 
     def show(self) -> None:
-        """Show how far the search is."""
         self.watch(min(0.1 + 0.8 * self.work.spent / self.work.budget, 0.9), "choosing")
 
 

@@ -177,7 +177,6 @@ class AssessedEvent:
         return f"{self.event.speed} {('push', 'pull')[self.event.label]}"
 
     def of(self, channel: str) -> Assessment | None:
-        """Its assessment on one channel."""
         return next((one for one in self.assessments if one.channel == channel), None)
 
 
@@ -311,7 +310,6 @@ class Tally:
         return 100.0 * self.passed / self.assessed if self.assessed else None
 
     def row(self) -> dict[str, Any]:
-        """Return the tally as JSON-able values."""
         return {**asdict(self), "passed_pct": self.passed_pct}
 
 

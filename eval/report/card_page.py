@@ -21,7 +21,6 @@ _READ: Final = {"%": 1.0, "deg": 1.0, "degC": 5.0, "kg/h": 10.0, "rpm": 10.0,
 
 
 def card_page(header: RunHeader, card: Card) -> str:
-    """Build the page."""
     return render("card.html.j2", header=header, card=card, steps=steps(card), gains=_gains(card))
 
 

@@ -318,7 +318,6 @@ def free_runs(
 
 
 def most_eventful(found: Comparison) -> Recording:
-    """The log with most events, the first of several."""
     return max(found.recordings, key=lambda each: len(each.events))
 
 

@@ -335,7 +335,6 @@ def licence() -> Markup:
 
 @cache
 def looks() -> Markup:
-    """The style sheet of uPlot."""
     return Markup(_shipped("vendor/uPlot.min.css"))  # noqa: S704 - shipped
 
 

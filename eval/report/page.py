@@ -30,7 +30,6 @@ WORST_EVENTS = 3
 
 
 def now() -> str:
-    """Time stamp of a page."""
     return datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
 
 
@@ -105,7 +104,6 @@ class PreparedLog:
 
     @property
     def drawn(self) -> bool:
-        """Whether it has pictures."""
         return "overlay" in self.parts
 
     def part(self, name: str) -> Markup:
@@ -196,5 +194,4 @@ def _environment() -> jinja2.Environment:
 
 
 def render(template: str, **content: object) -> str:
-    """Fill a template of this package."""
     return _environment().get_template(template).render(**content)

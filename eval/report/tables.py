@@ -226,7 +226,6 @@ class Measure:
 
     @property
     def title(self) -> str:
-        """The label with its unit."""
         return f"{self.label} [{self.unit}]" if self.unit else self.label
 
 

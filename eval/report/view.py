@@ -66,12 +66,10 @@ class LogView:
 
     @property
     def name(self) -> str:
-        """The log's name."""
         return self.log.name
 
     @property
     def assessments(self) -> list[Assessment]:
-        """Those of all events."""
         return [each for event in self.events for each in event.assessments]
 
     @property
@@ -154,14 +152,14 @@ class Viewed(Protocol):
     """A result that shows logs."""
 
     @property
-    def views(self) -> Sequence[LogView]: ...  # noqa: D102
+    def views(self) -> Sequence[LogView]: ...
 
 
 class Run(Protocol):
     """A result that holds a model."""
 
     @property
-    def bundle(self) -> Bundle: ...  # noqa: D102
+    def bundle(self) -> Bundle: ...
 
 
 Data: TypeAlias = Viewed | LogView | Log | RecordLike

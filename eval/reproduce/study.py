@@ -54,7 +54,6 @@ class Claim:
 
     @property
     def ours(self) -> str:
-        """The value in words."""
         whole = math.isfinite(self.value) and float(self.value).is_integer()
         text = f"{self.value:.0f}" if whole else number(self.value)
         return f"{text} {self.unit}" if self.unit and text != NOTHING else text

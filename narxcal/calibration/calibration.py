@@ -55,7 +55,7 @@ class Running(Protocol):
     """
 
     @property
-    def vector(self) -> FloatArray: ...  # noqa: D102
+    def vector(self) -> FloatArray: ...
     @vector.setter
     def vector(self, values: FloatArray) -> None: ...
 

@@ -102,7 +102,6 @@ class Certificate:
         return f"is unstable at {where}: a pole of {self.pole:.6f} per sample"
 
     def row(self) -> dict[str, Any]:
-        """As JSON-able values."""
         slowest_s = self.slowest_s
         return {
             "settled": self.settled,

@@ -61,7 +61,6 @@ class Member:
         return np.abs(np.asarray(roots, dtype=np.complex128))
 
     def to_json(self) -> dict[str, Any]:
-        """JSON-able."""
         return asdict(self)
 
     @classmethod

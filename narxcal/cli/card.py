@@ -20,7 +20,6 @@ from narxcal.support.progress import Progress
 
 
 def add_options(parser: ArgumentParser) -> None:
-    """Add what the command takes to `parser`."""
     parser.add_argument(
         "source", metavar="RUN|gap.json", type=path,
         help="folder that train wrote, or the undecided result of diagnose",

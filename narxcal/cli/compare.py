@@ -23,7 +23,6 @@ RESULTS = Results(SCHEMA, "compare.json", (PAGE,))
 
 
 def add_options(parser: ArgumentParser) -> None:
-    """Add what the command takes to `parser`."""
     parser.add_argument(
         "runs", metavar="RUN", type=path, nargs="+", help="folders of train or identify"
     )

@@ -24,7 +24,6 @@ RESULTS = Results(SCHEMA, DOCUMENT, (CONFIG, FLIGHTS, MODEL, PAGES))
 
 
 def add_options(parser: ArgumentParser) -> None:
-    """Add what the command takes to `parser`."""
     parser.add_argument(
         "--out",
         metavar="DIR",
@@ -64,7 +63,6 @@ def _begin(folder: Path) -> None:
 
 
 def _fly(folder: Path, console: Console) -> None:
-    """Write the logs of the demonstration and the truth about them."""
     scenario = load_scenario(Path(str(files("configs"))) / SCENARIO)
     with console.progress("Flying the virtual engine") as advance:
         truth = write_flights(folder, scenario, WriteOptions(JOBS), advance)

@@ -29,7 +29,6 @@ RESULTS = Results("narxcal.gap/", DOCUMENT, (PAGE, EMULATOR))
 
 
 def add_options(parser: ArgumentParser) -> None:
-    """Add what the command takes to `parser`."""
     parser.add_argument("--real", metavar="DIR", type=path, help="folder of the flights' logs")
     parser.add_argument("--sim", metavar="SIM", help=f"{SIMULATOR}; logs are paired by file name")
     add_out(parser)

@@ -38,7 +38,6 @@ class Report:
 
 
 def add_options(parser: ArgumentParser) -> None:
-    """Add what the command takes to `parser`."""
     add_run(parser)
     add_logs(parser)
     parser.add_argument(

@@ -64,7 +64,6 @@ _WRITTEN = Results(proof.SCHEMA, proof.FILE, ("engine.c", "engine.h"))
 
 
 def add_options(parser: ArgumentParser) -> None:
-    """Add what the command takes to `parser`."""
     parser.add_argument(
         "source",
         metavar="SOURCE",

@@ -32,7 +32,6 @@ _TYPED = {"seed": "--seed", "flights": "--flights", "sensors.preset": "--sensors
 
 
 def add_options(parser: ArgumentParser) -> None:
-    """Add what the command takes to `parser`."""
     parser.add_argument("config", metavar="CONFIG", help="TOML file, or a shipped one's name")
     add_out(parser)
     parser.add_argument(

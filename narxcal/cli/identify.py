@@ -21,7 +21,6 @@ _MOST_SHOWN = 40  # parameters; a black box has hundreds without a meaning
 
 
 def add_options(parser: ArgumentParser) -> None:
-    """Add what the command takes to `parser`."""
     add_config(parser, "RUN", "folder for the model")
     add_method(parser)
 

@@ -24,7 +24,6 @@ _FIGURES = ("rmse", "one_step_rmse", "steady_state_rmse")
 
 
 def add_options(parser: ArgumentParser) -> None:
-    """Add what the command takes to `parser`."""
     add_run(parser)
 
 

@@ -47,7 +47,6 @@ _TRAINED = 2.0 / 3.0  # of the files
 
 
 def add_options(parser: ArgumentParser) -> None:
-    """Add what the command takes to `parser`."""
     parser.add_argument("logs", metavar="LOG", type=path, nargs="+", help="logs of one recorder")
     parser.add_argument(
         "--out", metavar="FILE.toml", type=path, required=True, help="and FILE.png next to it"

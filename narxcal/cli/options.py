@@ -22,7 +22,6 @@ _LARGEST_COUNT = 1_000_000
 
 
 def path(text: str) -> Path:
-    """File or folder."""
     if not text or "\0" in text:
         raise ArgumentTypeError(f"expected a file or folder, found {text!r}")
     return Path(text)
@@ -152,7 +151,6 @@ def add_jobs(parser: ArgumentParser, what: str) -> None:
 
 
 def add_run(parser: ArgumentParser) -> None:
-    """RUN and --trust."""
     parser.add_argument("bundle", metavar="RUN", type=path, help="folder that train wrote")
     add_trust(parser)
 

@@ -51,7 +51,6 @@ _BYTES_PER_PROCESS = 10_000_000
 
 
 def add_options(parser: ArgumentParser) -> None:
-    """Add what the command takes to `parser`."""
     add_config(parser, "DIR", "folder for the prepared logs, tables and page")
     parser.add_argument(
         "--parquet", action="store_true", help="write each prepared log as Parquet, too"

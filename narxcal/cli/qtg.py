@@ -30,7 +30,6 @@ from training.transients import TransientsConfig
 
 
 def add_options(parser: ArgumentParser) -> None:
-    """Add what the command takes to `parser`."""
     add_run(parser)
     add_logs(parser)
     parser.add_argument("--rules", choices=tuple(RULES), help="default: those of the run")

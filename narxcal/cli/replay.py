@@ -19,7 +19,6 @@ SCHEMA = "narxcal.replay/1"
 
 
 def add_options(parser: ArgumentParser) -> None:
-    """Add what the command takes to `parser`."""
     add_run(parser)
     parser.add_argument("log", metavar="LOG", type=path, help="log, read by RUN's mapping")
     parser.add_argument("--out", metavar="OUT.csv", type=path, required=True, help="CSV file or -")

@@ -60,7 +60,6 @@ class _Run:
 
 
 def add_options(parser: ArgumentParser) -> None:
-    """Add what the command takes to `parser`."""
     parser.add_argument(
         "bundle", metavar="RUN", type=path, nargs="?", help="folder that train wrote"
     )

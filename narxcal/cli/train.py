@@ -42,7 +42,6 @@ CHECKPOINTS = "checkpoints"
 
 
 def add_options(parser: ArgumentParser) -> None:
-    """Add what the command takes to `parser`."""
     add_config(parser, "RUN", "folder for the model")
     parser.add_argument("--resume", action="store_true", help="continue an interrupted training")
 

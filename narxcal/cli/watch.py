@@ -17,7 +17,6 @@ from narxcal.support.files import atomic_write_text, to_json
 
 
 def add_options(parser: ArgumentParser) -> None:
-    """Add what the command takes to `parser`."""
     parser.add_argument(
         "fleet", metavar="FLEET", type=address, help="dataset that narxcal fleet wrote"
     )

@@ -73,7 +73,6 @@ class Number:
         self.graph, self.name = graph, name
 
     def to(self, operation: str, *others: Any, **attributes: Any) -> Number:
-        """An operation on this number and others."""
         return self.graph.add(operation, self, *others, **attributes)
 
     __add__, __radd__ = _both_sides("Add")

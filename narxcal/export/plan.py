@@ -338,7 +338,6 @@ class _Sampling:
             )
 
     def as_given(self) -> Planned:
-        """Sample on the given nodes alone."""
         return self._planned([{}] * len(self.layers), "nodes")
 
     def refined(self) -> Planned:

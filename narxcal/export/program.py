@@ -59,7 +59,6 @@ class Program:
 
     @property
     def steady_struct(self) -> Struct:
-        """Numbers of the steady state."""
         return self._steady[0]
 
     @cached_property
@@ -100,7 +99,6 @@ class Program:
 
     @property
     def envelope(self) -> Envelope:
-        """Ranges of the inputs."""
         numbers = self._steady[0].numbers
         return Envelope(numbers["low"], numbers["high"])
 
@@ -334,7 +332,6 @@ class Exportable:
         return cls(model, sampled, report, bundle.sha256, chosen.source)
 
     def program(self, level: float = LEVEL) -> Program:
-        """The model as C."""
         return Program(self.model, self.about, self.sha256, level)
 
     @property

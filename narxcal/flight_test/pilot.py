@@ -62,7 +62,6 @@ class Placed:
 
     @property
     def stop_s(self) -> float:
-        """Time of its end."""
         return self.start_s + self.manoeuvre.duration_s
 
 

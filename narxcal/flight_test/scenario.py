@@ -82,7 +82,6 @@ class FlownEffect(Section):
         return there and (not self.engines or engine in self.engines)
 
     def fault(self) -> SensorFault:
-        """Return it as the fault of a sensor."""
         return SensorFault(self.id, self.channel or "", self.parameters, self.windows_s)
 
     def _check_channel(self) -> None:
@@ -222,7 +221,6 @@ class FlightScenario(Section):
 
     @property
     def flight_count(self) -> int:
-        """Number of flights."""
         if self.flights is not None:
             return self.flights
         return _RECORDED_FLIGHTS if self.records else _FLIGHTS

@@ -162,7 +162,6 @@ class Drive(NamedTuple):
     air: FloatArray
 
     def rows(self, part: slice | IntArray) -> Drive:
-        """Some of the rows."""
         return Drive(*(np.ascontiguousarray(column[part]) for column in self))
 
     def after(self, before: Drive) -> Drive:

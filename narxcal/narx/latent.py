@@ -261,12 +261,10 @@ class LatentModel:
 
     @property
     def inputs(self) -> int:
-        """Number of inputs."""
         return self.shape.inputs
 
     @property
     def outputs(self) -> int:
-        """Number of outputs."""
         return self.shape.outputs
 
     @cached_property

@@ -61,7 +61,6 @@ class Folder:
         return Path(self._place[1]) if is_local(self.address) else None
 
     def below(self, name: str) -> Folder:
-        """The folder `name` in it."""
         return Folder(f"{self.address.rstrip('/')}/{name}")
 
     def sizes(self, patterns: Sequence[str]) -> dict[str, int]:
@@ -77,7 +76,6 @@ class Folder:
         return dict(sorted(found.items()))
 
     def has(self, name: str) -> bool:
-        """Whether there is a file of this name."""
         files, root = self._place
         with self._reported(name):
             return bool(files.isfile(f"{root}/{name}"))

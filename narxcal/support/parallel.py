@@ -277,7 +277,6 @@ def identity() -> dict[str, str]:
 
 
 def words(found: dict[str, str]) -> str:
-    """Name versions in one line."""
     return ", ".join(f"{name} {each}" for name, each in found.items())
 
 
