@@ -78,6 +78,7 @@ class Dynamics(ABC):
     @classmethod
     @abstractmethod
     def from_json(cls, stored: Mapping[str, Any], steady: SteadyStateModel, dt_s: float) -> Self:
+        """Inverse of `to_json`."""
 
 
 @dataclass(frozen=True)
@@ -218,7 +219,6 @@ class ResponseDynamics(Dynamics):
 
     @classmethod
     def from_json(cls, stored: Mapping[str, Any], steady: SteadyStateModel, dt_s: float) -> Self:
-        """Inverse of `to_json`."""
         del steady
         schedules = tuple(
             Schedule(tuple(map(tuple, one["axes"])), np.array(one["logs"], dtype=np.float64))
