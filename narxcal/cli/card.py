@@ -12,7 +12,7 @@ from eval.report.page import RunHeader
 from narxcal.calibration.bundle import load_bundle
 from narxcal.cli.console import Console
 from narxcal.cli.diagnose import DOCUMENT as GAP
-from narxcal.cli.options import add_data, add_overwrite, add_trust, minutes, path
+from narxcal.cli.options import add_data, add_out_file, add_trust, minutes, path
 from narxcal.cli.results import check_pair
 from narxcal.flight_test.moves import Limits
 from narxcal.support.files import atomic_write_text, to_json
@@ -30,9 +30,7 @@ def add_options(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--minutes", metavar="N", type=minutes, default=20.0, help="flight time (default 20)"
     )
-    parser.add_argument(
-        "--out", metavar="CARD.html", type=path, required=True, help="and CARD.json next to it"
-    )
+    add_out_file(parser, "CARD.html", "and CARD.json next to it")
     parser.add_argument(
         "--criterion",
         choices=("D", "I"),
@@ -41,7 +39,6 @@ def add_options(parser: ArgumentParser) -> None:
     )
     add_data(parser, "folder of the run's training logs, if they have moved")
     add_trust(parser)
-    add_overwrite(parser)
 
 
 def run(options: Namespace, console: Console) -> int:

@@ -17,7 +17,7 @@ from eval.run_logs import evaluation_logs
 from narxcal.calibration.bundle import Bundle, load_bundle
 from narxcal.channels import channel
 from narxcal.cli.console import Console
-from narxcal.cli.options import add_interval, add_logs, add_overwrite, add_trust, count, path
+from narxcal.cli.options import add_interval, add_logs, add_out_file, add_trust, count
 from narxcal.cli.results import check_ending
 from narxcal.export import (
     ExportOptions,
@@ -72,14 +72,7 @@ def add_options(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--to", choices=("table", "fmu", "c", "onnx", "jsbsim"), required=True, help="what to write"
     )
-    parser.add_argument(
-        "--out",
-        metavar="OUT",
-        type=path,
-        required=True,
-        help=".csv, .csv.gz, .fmu, .onnx, .xml; a folder for C",
-    )
-    add_overwrite(parser)
+    add_out_file(parser, "OUT", ".csv, .csv.gz, .fmu, .onnx, .xml; a folder for C")
     add_trust(parser)
     parser.add_argument("--fmi", choices=("2.0", "3.0"), default="2.0", help="default 2.0")
     parser.add_argument(

@@ -131,8 +131,9 @@ def add_out(parser: ArgumentParser) -> None:
     parser.add_argument("--out", metavar="DIR", type=path, required=True, help="folder")
 
 
-def add_overwrite(parser: ArgumentParser) -> None:
-    """--overwrite of a command that writes one file."""
+def add_out_file(parser: ArgumentParser, name: str, text: str) -> None:
+    """--out and --overwrite of a command that writes one file, or two of one name."""
+    parser.add_argument("--out", metavar=name, type=path, required=True, help=text)
     parser.add_argument("--overwrite", action="store_true", help="replace OUT if it exists")
 
 

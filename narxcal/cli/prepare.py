@@ -77,10 +77,8 @@ def run(options: Namespace, console: Console) -> int:
         header = config_header(title, config, sources, document["cautions"])
         with (folder / RESULTS.others[0]).open("w", encoding="utf-8") as page:
             page.writelines(prepare_page(header, [one.page for one in logs]))
-    _show(console, logs, options.out)
-    for caution in document["cautions"]:
-        console.warn(caution)
-    console.document(document)
+    _show(console, logs)
+    console.finish(document, f"Page: {options.out / 'prepare.html'}", document["cautions"])
     return 0
 
 
@@ -226,7 +224,7 @@ def file_names(logs: Sequence[str]) -> list[str]:
     return list(found)
 
 
-def _show(console: Console, logs: Sequence[_Written], out: Path) -> None:
+def _show(console: Console, logs: Sequence[_Written]) -> None:
     rows = []
     for one in logs:
         found = one.document
@@ -235,4 +233,3 @@ def _show(console: Console, logs: Sequence[_Written], out: Path) -> None:
         minutes = f"{found['duration_s'] / 60.0:.1f}"
         rows.append([found["log"], minutes, str(pushes), str(pulls), str(lost)])
     console.table("Prepared logs", ["log", "minutes", "pushes", "pulls", "masked samples"], rows)
-    console.say(f"Page: {out / 'prepare.html'}")

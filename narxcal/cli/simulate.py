@@ -30,7 +30,7 @@ from narxcal.calibration.bundle import Bundle, load_bundle
 from narxcal.calibration.calibration import Calibration
 from narxcal.channels import CHANNELS
 from narxcal.cli.console import Console
-from narxcal.cli.options import SIMULATOR, add_interval, add_mapping, add_overwrite, add_trust, path
+from narxcal.cli.options import SIMULATOR, add_interval, add_mapping, add_out_file, add_trust, path
 from narxcal.cli.results import interval_words, read_config
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError
@@ -70,15 +70,8 @@ def add_options(parser: ArgumentParser) -> None:
         nargs="?",
         help="inputs, by RUN's mapping or canonical",
     )
-    parser.add_argument(
-        "--out",
-        metavar="OUT",
-        type=path,
-        required=True,
-        help="CSV file, -, or folder",
-    )
+    add_out_file(parser, "OUT", "CSV file, -, or folder")
     add_interval(parser)
-    add_overwrite(parser)
     add_trust(parser)
     group = parser.add_argument_group("with the effects that diagnose found")
     group.add_argument("--sim", metavar="SIM", help=SIMULATOR)
