@@ -40,7 +40,7 @@ from scipy.stats import t as student
 from data_prep.identity import Shared
 from data_prep.log import Log
 from eval.free_run import FreeRun
-from narxcal.calibration.run_record import MixtureChannel, RunRecord
+from narxcal.calibration.run_record import RunRecord
 from narxcal.channels import described, symbol
 from training.transients import Assessment
 
@@ -108,16 +108,11 @@ def error_checks(record: RunRecord, run: FreeRun, rmse: Mapping[str, float]) -> 
 
 
 def _known_errors(record: RunRecord, name: str) -> tuple[list[float], bool]:
-    """RMSE of held-out logs; of an older run that of all training logs together."""
+    """RMSE of the logs that training held out, and whether they were fitted to all the same."""
     held = record.held_out
-    if held is not None and held.rmse.get(name):
-        return [each for each in held.rmse[name] if math.isfinite(each)], held.fitted
-    one = record.weighed.channels.get(name, MixtureChannel())
-    pooled = one.held_out_rmse.get("mixture")
-    if pooled is not None:
-        return [pooled], False
-    fit = record.free_run.rmse.get(name, math.nan) if record.free_run else math.nan
-    return ([fit] if math.isfinite(fit) else []), True
+    if held is None:
+        return [], True
+    return [each for each in held.rmse.get(name, ()) if math.isfinite(each)], held.fitted
 
 
 def _allowed(

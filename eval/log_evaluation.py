@@ -217,8 +217,7 @@ def role_of(bundle: Bundle, log: Log) -> tuple[str, Shared | None]:
         return NEW, None
     split = bundle.record.split
     named = next((role for role in split if log.name in split[role]), None)
-    # Of an older run the bytes alone are known: whatever their name, they may have been learned.
-    return named or (NEW if known else "train"), None
+    return named or NEW, None
 
 
 def masked_shares(recorded: Log, log: Log, names: Sequence[str]) -> dict[str, float]:

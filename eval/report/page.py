@@ -19,7 +19,7 @@ from eval.report import event_figures, figures, live, tables
 from eval.report.style import unit
 from eval.report.view import LogView
 from narxcal.channels import symbol
-from narxcal.support.files import atomic_write_text, versions
+from narxcal.support.files import versions
 from training.transients import AssessedEvent, tally
 
 if TYPE_CHECKING:
@@ -135,11 +135,6 @@ def crossval_page(header: RunHeader, found: CrossValidation) -> str:
 def compare_page(header: RunHeader, found: Comparison) -> str:
     """Build the page of `compare`: one table, one figure, the significant differences."""
     return render("compare.html.j2", header=header, found=found)
-
-
-def write_page(path: str | os.PathLike[str], html: str) -> None:
-    """Write the page whole or not at all."""
-    atomic_write_text(path, html)
 
 
 def worst_events(view: LogView) -> list[AssessedEvent]:

@@ -4,7 +4,7 @@ A file or folder is written under a temporary name next to its target, flushed t
 takes the target's name, so that a full disk or a killed process leaves the former content or the
 new one. Temporaries are called `.NAME.TOKEN.part`; a folder that is replaced waits as
 `.NAME.TOKEN.old` for the new one to stand. `recover` puts right what a killed process left; every
-check of an output calls it first. Of commands that write one output one runs (`system.locked`).
+check of an output calls it first. Of commands that write one output one runs (`cli.app.locked`).
 
 Commands check where they are to write before they begin: `check_file`, `Results.check`.
 """

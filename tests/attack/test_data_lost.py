@@ -6,9 +6,9 @@ import sys
 import pytest
 
 from narxcal.cli import main
+from narxcal.cli.app import locked
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import Results, atomic_folder
-from narxcal.support.system import locked
 
 RUN = Results("narxcal.x/", "x.json", ("arrays", "steady/*"))
 
@@ -48,7 +48,7 @@ def test_the_json_of_another_command_makes_no_folder_ours(tmp_path):
 def test_one_command_at_a_time_writes_an_output_and_others_fail_before_the_work(tmp_path, capsys):
     out = tmp_path / "deep" / "out.csv"
     code = (
-        "import sys; from pathlib import Path; from narxcal.support.system import locked\n"
+        "import sys; from pathlib import Path; from narxcal.cli.app import locked\n"
         "with locked(Path(sys.argv[1])):\n"
         "    print('locked', flush=True); sys.stdin.read()\n"
     )

@@ -7,13 +7,13 @@ import pytest
 
 from narxcal.calibration import bundle as module
 from narxcal.calibration.bundle import Bundle, load_bundle, write_bundle
+from narxcal.cli.app import locked
 from narxcal.support.files import (
     Results,
     atomic_stream,
     atomic_write_bytes,
     check_file,
 )
-from narxcal.support.system import locked
 from tests.crash import killed_everywhere
 from tests.narxcal.calibration.test_bundle import Calibration
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from narxcal.cli.app import locked
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import (
     Results,
@@ -24,7 +25,6 @@ from narxcal.support.files import (
     recover,
     text_cell,
 )
-from narxcal.support.system import locked
 
 FULL = OSError(errno.ENOSPC, "No space left on device")
 
@@ -258,7 +258,7 @@ def test_a_folder_is_written_by_one_process_at_a_time(tmp_path):
     code = (
         "import sys\n"
         "from pathlib import Path\n"
-        "from narxcal.support.system import locked\n"
+        "from narxcal.cli.app import locked\n"
         "with locked(Path(sys.argv[1])):\n"
         "    print('locked', flush=True)\n"
         "    sys.stdin.read()\n"
