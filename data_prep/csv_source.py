@@ -232,8 +232,10 @@ class CsvSource:
             cells = self._cells(rows, [*positions.values()], object)
         except ValueError:
             return {}
+        texts = {name: cells[at] for name, at in positions.items()}
         return {
-            name: (cells[at], self._unreadable(name, cells[at])) for name, at in positions.items()
+            name: (own, np.asarray(np.isnan(self._numbers_of(name, own)) & own.notna()))
+            for name, own in texts.items()
         }
 
     def _learn_words(self, texts: Mapping[str, tuple[pd.Series[Any], NDArray[np.bool_]]]) -> bool:
@@ -375,9 +377,6 @@ class CsvSource:
                 engine="c",
             )
         return table.iloc[1:]
-
-    def _unreadable(self, name: str, texts: pd.Series[Any]) -> NDArray[np.bool_]:
-        return np.asarray(np.isnan(self._numbers_of(name, texts)) & texts.notna())
 
 
 def _what_to_do(text: str) -> str:

@@ -26,7 +26,6 @@ from training.folds import (
     LEAVE_ONE_OUT,
     RANDOM,
     Plan,
-    Segment,
     leave_one_flight_out,
     random_splits,
 )
@@ -177,7 +176,7 @@ def judge_fold(bundle: Bundle, plan: Plan) -> FoldResult:
     """Judge a fold's calibration on its test segments."""
     _, settings = run_config(bundle)
     inputs = bundle.calibration.input_names
-    usable = [part for part in plan.test if _has_inputs(part, inputs)]
+    usable = [part for part in plan.test if np.isfinite(part.log.matrix(inputs)).any(axis=0).all()]
     judged = [assess_log(bundle, part.log, settings, events=part.own_events) for part in usable]
     return FoldResult(
         scheme=plan.scheme,
@@ -246,10 +245,6 @@ def _learnable(plans: Sequence[Plan], outputs: Sequence[str]) -> Sequence[Plan]:
                     hint="Take it out of [narx] outputs, or add logs that have it",
                 )
     return plans
-
-
-def _has_inputs(part: Segment, names: Sequence[str]) -> bool:
-    return bool(np.isfinite(part.log.matrix(names)).any(axis=0).all())
 
 
 def _figures(judged: Sequence[LogEvaluation]) -> dict[str, float | None]:

@@ -92,7 +92,7 @@ class Evaluation:
             *self._unknown_errors(),
             *self._copied(),
             *self._loose_bounds(),
-            *self._contradictions(),
+            *(text for one in self.logs for text in contradictions(one.log, one.run.channels)),
             *self._not_judged(),
             *self._too_few_events(),
         ]
@@ -147,9 +147,6 @@ class Evaluation:
         names = [name for name in {**default, **own} if not name.startswith("crossval.")]
         pairs = {name: (own.get(name), default.get(name)) for name in names}
         return {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}
-
-    def _contradictions(self) -> list[str]:
-        return [text for one in self.logs for text in contradictions(one.log, one.run.channels)]
 
     def _not_judged(self) -> list[str]:
         """Outputs of which too little is judged, in one count over cleaning, faults and gaps."""

@@ -289,7 +289,7 @@ def from_coordinates(
     if form == "canonical":
         return _observer(head, body, D, dt_s)
     tanh, parts, at = np.tanh(head), [], 0
-    for size in _sizes(n):
+    for size in [2] * (n // 2) + [1] * (n % 2):  # slowest poles first
         denominator = _denominator(tanh[at : at + size])
         markov = _markov_of_section(denominator, body[at : at + size])
         parts.append(_observer(denominator, markov, np.zeros((p, m)), dt_s))
@@ -351,11 +351,6 @@ def _output_coordinates(model: StateSpace) -> FloatArray:
         )
     same = model.transformed(np.asarray(np.linalg.inv(model.C), dtype=np.float64))
     return np.concatenate([same.A.ravel(), same.B.ravel()])
-
-
-def _sizes(n: int) -> list[int]:
-    """Poles per section, slowest first; an odd order ends with a single pole."""
-    return [2] * (n // 2) + [1] * (n % 2)
 
 
 def _sections(poles: ComplexArray) -> list[FloatArray]:

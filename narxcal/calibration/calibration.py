@@ -151,7 +151,8 @@ class Calibration(ABC):
 
     def _steady_over(self, given: FloatArray) -> FloatArray:
         """Steady states (time, n_out) at inputs as they act."""
-        return _joined([self.steady.outputs(given[rows]) for rows in _blocks(len(given))])
+        parts = [self.steady.outputs(given[rows]) for rows in _blocks(len(given))]
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     def own_alone(self) -> Self:
         """The calibration with its own model alone in every output."""
@@ -596,10 +597,6 @@ class DynamicCalibration(Calibration):
 
 def _blocks(rows: int, first: int = 0) -> list[slice]:
     return [slice(start, min(start + _BLOCK, rows)) for start in range(first, rows, _BLOCK)]
-
-
-def _joined(parts: list[FloatArray]) -> FloatArray:
-    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def narx_features(

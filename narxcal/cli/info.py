@@ -131,17 +131,16 @@ def _metrics(run: Path, weights: str) -> dict[str, Any] | None:
             "trim": None if found["trim"] is None else float(found["trim"]),
             **found["pooled"],
             "channels": {
-                name: {**row, **{key: _finite(row[key]) for key in _FIGURES}}
+                name: {
+                    **row,
+                    **{key: None if row[key] is None else float(row[key]) for key in _FIGURES},
+                }
                 for name, row in channels.items()
             },
             "ti_tt": {**counts, **{key: int(counts[key]) for key in ("passed", "assessed")}},
         }
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
         return None
-
-
-def _finite(value: Any) -> float | None:
-    return None if value is None else float(value)
 
 
 def _facts(document: dict[str, Any], record: RunRecord) -> dict[str, str]:

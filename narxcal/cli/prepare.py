@@ -115,7 +115,10 @@ class _Work:
         # Nothing but `examine` refers to the log, which it lets go of.
         report = examine(logs.pop(0), self.config)
         for form in self.forms:
-            _WRITERS[form](self.folder / f"{number}{form}", _columns(report.log))
+            _WRITERS[form](
+                self.folder / f"{number}{form}",
+                {"time_s": report.log.time_s, **report.log.channels},
+            )
         page = PreparedLog.of(report.view(), report.trial, number)
         return _Written(report.without_samples(), report.to_dict(), page)
 
@@ -147,10 +150,6 @@ def _prepared(files: Sequence[Path], work: _Work, jobs: int, console: Console) -
     for k, page in zip(chosen, pages, strict=True):
         logs[k] = replace(logs[k], page=page)
     return logs
-
-
-def _columns(log: Log) -> dict[str, FloatArray]:
-    return {"time_s": log.time_s, **log.channels}
 
 
 def _write_csv(path: Path, columns: Mapping[str, FloatArray]) -> None:

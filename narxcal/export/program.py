@@ -125,7 +125,8 @@ class Program:
             "enum { /* engines */",
             *(
                 f"    NARXCAL_ENGINE_{re.sub(r'[^A-Za-z0-9]', '_', name) or 'chosen'},"
-                for name in _distinct(self.engines)
+                # Without the name that the chosen one has among the others.
+                for name in (self.engines[0] if len(self.engines) == 1 else "", *self.engines[1:])
             ),
             "    NARXCAL_ENGINES\n};",
         ]
@@ -211,11 +212,6 @@ def _steady_function(kind: str) -> str:
         f"static int steady(int engine, const double *in, double *ss)\n{{\n{engine[1]}"
         f"    return {kind}_outputs(&steady_numbers, {engine[0]}in, ss);\n}}\n"
     )
-
-
-def _distinct(names: Sequence[str]) -> list[str]:
-    """Names of engines; the chosen one first, without the name that it has among the others."""
-    return [names[0] if len(names) == 1 else "", *names[1:]]
 
 
 def _meaning(name: str) -> str:

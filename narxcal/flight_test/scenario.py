@@ -234,7 +234,11 @@ class FlightScenario(Section):
     def planned(self, flight: int) -> Mapping[str, Mapping[str, FloatArray]]:
         """Plan flight number `flight` (from 1): engine -> channel -> `(time,)`."""
         if self.records:
-            sets = [each for each in self._data_sets() if each.flight == flight]
+            sets = [
+                each
+                for each in _recorded(self.records, self._number(0), self.plan.rate_hz)
+                if each.flight == flight
+            ]
             return {each.engine: _inside(each.channels) for each in sets}
         if self.card is not None:
             return plan_card(self.card, self.flight_plan(), self._number(flight))
@@ -245,9 +249,6 @@ class FlightScenario(Section):
         if self.records:
             return f"data_set_{2 * flight - 1 + SIDES.index(engine):02d}"
         return f"flight_{flight:02d}_{engine}"
-
-    def _data_sets(self) -> tuple[DataSet, ...]:
-        return _recorded(self.records or "", self._number(0), self.plan.rate_hz)
 
     def _number(self, flight: int) -> int:
         return int(self.stream(flight, "plan").generate_state(1, np.uint32)[0])
