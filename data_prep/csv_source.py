@@ -112,7 +112,6 @@ class CsvSource:
                     row += len(rows)
 
     def _line_blocks(self, pace: Pace) -> Generator[list[str]]:
-        """Whole lines below the header."""
         tail = ""  # a line without its end
         with readable(self.path), open_text(self.path) as text:
             for _ in range(self.head.lines):

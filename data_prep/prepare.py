@@ -95,7 +95,6 @@ class Prepared:
 
     @cached_property
     def warnings(self) -> tuple[LogWarning, ...]:
-        """All warnings about the log."""
         found = {
             "crowded": _crowded(self.log),
             "fragment": _fragments(self.log),

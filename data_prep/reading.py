@@ -137,7 +137,6 @@ class _Growing:
             self.pieces.append(piece)
 
     def finished(self) -> list[Log]:
-        """Return all logs, after the last row."""
         if not self.over:  # an instance that the last block does not have
             self.push({}, last=True)
         self._finish(self.stream.audit.taken())

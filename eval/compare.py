@@ -126,7 +126,6 @@ class Comparison:
         return lines
 
     def _passes(self) -> str:
-        """Which model passes most transients, and which significantly fewer."""
         judged = {row.run: row.ti_tt for row in self.rows if row.ti_tt and row.ti_tt.assessed}
         if len(judged) < 2:
             return ""

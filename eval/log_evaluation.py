@@ -70,7 +70,6 @@ class LogEvaluation:
         return [each for event in self.events for each in event.assessments]
 
     def row(self) -> dict[str, Any]:
-        """One entry of `logs` in `evaluate.json`."""
         run, log = self.run, self.log
         channels = {name: figures.row() for name, figures in self.scores.items()}
         for name, before in self.untrimmed.items():

@@ -50,7 +50,6 @@ class LogReport:
         return replace(self, log=empty)
 
     def view(self) -> LogView:
-        """The log as pages show it."""
         return LogView(
             log=self.log,
             driver=self.driver,
@@ -79,7 +78,6 @@ class LogReport:
         }
 
     def counts(self) -> dict[str, int]:
-        """Events in all and by kind."""
         events = self.events
         kinds = {kind: sum(one.speed == kind for one in events) for kind in _SPEEDS}
         return {

@@ -442,7 +442,6 @@ class ReplaySummary:
         return texts
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
         return {
             **asdict(self), "missed": self.missed,
             "findings": [each.row() for each in self.findings],

@@ -110,7 +110,6 @@ class Alarm:
         return tuple(sorted({key.engine for key, _ in self.changes}))
 
     def row(self) -> dict[str, Any]:
-        """One entry of `alarms` in JSON."""
         names = ("tail", "kind", "at", "first", "last", "hours", "cause", "before", "after")
         changes = [
             {"engine": key.engine, "channel": key.channel, "quantity": key.quantity,
@@ -153,7 +152,6 @@ class Watch:
         return Outcome(passed, headline, (line, *self.remarks))
 
     def document(self) -> dict[str, Any]:
-        """Everything as JSON."""
         return {
             "schema": SCHEMA,
             "ok": self.outcome.passed,

@@ -225,7 +225,6 @@ class Material:
     least_scale: FloatArray | float = 0.0
 
     def of_output(self, k: int) -> Material:
-        """The same with output `k` alone."""
         records, validation, rest = (
             [Record(each.u, each.y[:, k : k + 1], each.name, each.weight) for each in part]
             for part in (self.records, self.validation, self.rest)

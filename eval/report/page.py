@@ -58,7 +58,6 @@ class RunHeader:
 
 
 def evaluate_page(header: RunHeader, views: Sequence[LogView], outcome: Outcome) -> str:
-    """Build the page of `evaluate` and `demo`."""
     assessments = [each for view in views for each in view.assessments]
     return render(
         "evaluate.html.j2",

@@ -217,7 +217,6 @@ def wrapped(text: str, width: float, size: float) -> list[str]:
 
 @lru_cache(maxsize=20_000)
 def width_mm(text: str, size: float) -> float:
-    """Width of a line in mm."""
     if not text:
         return 0.0
     prop = FontProperties(family=_FAMILY, size=size)

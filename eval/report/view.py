@@ -81,7 +81,6 @@ class LogView:
         return float(self.log.time_s[min(run.scored_from, len(self.log) - 1)])
 
     def curves(self, rows: slice = slice(None)) -> list[Curves]:
-        """Every output over `rows`."""
         run = None if self.evaluation is None else self.evaluation.run
         none = (None, None, None)
         modelled = none if run is None else (run.model, run.steady, run.half_width)

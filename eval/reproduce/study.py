@@ -95,7 +95,6 @@ class Study:
     results: Mapping[str, Any] = field(default_factory=dict)
 
     def row(self) -> dict[str, Any]:
-        """One entry of `studies`."""
         return {
             "study": self.key,
             "title": self.title,

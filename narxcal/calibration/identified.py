@@ -201,7 +201,6 @@ class ResponseDynamics(Dynamics):
     def run(
         self, state: FloatArray, drive: FloatArray, measured: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Respond output by output."""
         count = len(self.schedules)
         outputs, ends = np.empty_like(measured), np.empty((2, count))
         for k, schedule in enumerate(self.schedules):

@@ -138,7 +138,6 @@ def parser_of(command: str) -> argparse.ArgumentParser:
 
 
 def _run(options: argparse.Namespace) -> int:
-    """Run the command's module."""
     console = import_module("narxcal.cli.console").Console(json=options.json, quiet=options.quiet)
     warnings = logging.Handler(logging.WARNING)
     warnings.emit = lambda record: console.warn(record.getMessage())  # type: ignore[method-assign]

@@ -54,7 +54,6 @@ def add_options(parser: ArgumentParser) -> None:
 
 
 def run(options: Namespace, console: Console) -> int:
-    """Plan the flight and write page and document."""
     document = check_pair(options, "the page", (".html", ".json"), options.source, options.aircraft)
     wanted = Wanted(Limits.read(options.aircraft), options.minutes, options.criterion)
     with console.progress("Planning") as advance:

@@ -33,7 +33,6 @@ def add_options(parser: ArgumentParser) -> None:
 
 
 def run(options: Namespace, console: Console) -> int:
-    """Compare runs; writes JSON and HTML."""
     RESULTS.check(options.out)
     runs = [
         Run(name, bundle, tuple(logs_for(bundle, options.logs, options.data, console)))

@@ -34,7 +34,6 @@ def add_options(parser: ArgumentParser) -> None:
 
 
 def run(options: Namespace, console: Console) -> int:
-    """Fly, train, evaluate, and print where the page is."""
     folder = options.out.resolve()
     RESULTS.check(folder)
     _begin(folder)

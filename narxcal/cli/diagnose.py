@@ -108,7 +108,6 @@ def write(folder: Path, found: Answer) -> dict[str, Any]:
 
 
 def show(console: Console, document: Mapping[str, Any]) -> None:
-    """Print the verdict, the budget, effects that are not named, and cautions."""
     answer = outcome(document)
     for text in (answer.headline, *answer.lines):
         console.say(text)

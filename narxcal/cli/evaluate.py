@@ -58,7 +58,6 @@ def default_output(options: Namespace) -> Path:
 
 
 def run(options: Namespace, console: Console) -> int:
-    """Evaluate a bundle on its held-out logs, or on others; writes JSON and HTML."""
     out = options.out or default_output(options)
     RESULTS.check(out)
     bundle = load_bundle(options.bundle, trust=options.trust)
@@ -108,7 +107,6 @@ def _release_memory() -> None:
 
 
 def show(console: Console, found: Report) -> None:
-    """Print the tables and the verdict."""
     terminal.print_transients(console.page, found.evaluation.logs)
     terminal.print_scores(console.page, found.evaluation.logs)
     terminal.print_interval(console.page, found.evaluation.pooled)

@@ -316,7 +316,6 @@ def _write(
 
 
 def _c(exported: Exportable, options: Namespace, cases: list[proof.Case], file: Path) -> _Compared:
-    """Write the sources, compile and run them."""
     program = exported.program(options.interval)
     for name, text in program.code.items():
         atomic_write_text(file.parent / name, text)
@@ -337,7 +336,6 @@ def _c(exported: Exportable, options: Namespace, cases: list[proof.Case], file: 
 def _fmu(
     exported: Exportable, options: Namespace, cases: list[proof.Case], file: Path
 ) -> _Compared:
-    """Write an FMU, and run it by FMPy."""
     program = exported.program(options.interval)
     size = write_fmu(program, file, options.fmi)
     if compiler() is None:
@@ -349,7 +347,6 @@ def _fmu(
 def _onnx(
     exported: Exportable, options: Namespace, cases: list[proof.Case], file: Path
 ) -> _Compared:
-    """Write a graph of one engine, and run it by onnxruntime."""
     engine = options.engine or ""
     size = write_onnx(exported.program(), file)
     if onnx_graph.runtime() is None:
@@ -365,7 +362,6 @@ def _onnx(
 def _jsbsim(
     exported: Exportable, options: Namespace, cases: list[proof.Case], file: Path
 ) -> _Compared:
-    """Fit JSBSim's turbine, write it, and fly it in JSBSim."""
     model, envelope = exported.model.for_engine(options.engine or ""), exported.program().envelope
     logs = cases[1:] or cases
     turbine = jsbsim.Turbine.of(model, envelope, logs)

@@ -26,7 +26,6 @@ def add_options(parser: ArgumentParser) -> None:
 
 
 def run(options: Namespace, console: Console) -> int:
-    """Identify a model and write the bundle and its parameters."""
     config, base = read_config(options.config, options.data)
     config = with_method(config, options.method)
     check(options.out, resume=False)

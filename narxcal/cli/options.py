@@ -157,7 +157,6 @@ def add_run(parser: ArgumentParser) -> None:
 
 
 def add_trust(parser: ArgumentParser) -> None:
-    """--trust of every command that reads a run."""
     parser.add_argument(
         "--trust",
         action="store_true",

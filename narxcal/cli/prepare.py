@@ -59,7 +59,6 @@ def add_options(parser: ArgumentParser) -> None:
 
 
 def run(options: Namespace, console: Console) -> int:
-    """Prepare the logs of a configuration; writes tables, prepared logs, JSON and HTML."""
     RESULTS.check(options.out)
     config, base = read_config(options.config, options.data)
     files = config.logs.resolve(base)

@@ -33,7 +33,6 @@ def add_options(parser: ArgumentParser) -> None:
 
 
 def run(options: Namespace, console: Console) -> int:
-    """Replay a log and write one CSV."""
     console = console.for_output(options.out)
     check_file(options.out, options.log, options.bundle, overwrite=options.overwrite)
     bundle = load_bundle(options.bundle, trust=options.trust)

@@ -332,7 +332,6 @@ class Exportable:
 
     @property
     def about(self) -> list[str]:
-        """Lines on what the file is."""
         lines = [
             f"Turbofan model '{self.name}' by {generation_tool()}: {self.original.words}",
             f"Run {self.sha256 or 'without a hash'}, sampled every {self.model.dt_s:.9g} s",

@@ -85,7 +85,6 @@ class Ensemble:
         return np.asarray(np.tensordot(np.array(self.weights), np.stack(runs), axes=1))
 
     def to_arrays(self) -> tuple[dict[str, Any], dict[str, FloatArray]]:
-        """Split into JSON-able structure and named arrays."""
         arrays: dict[str, FloatArray] = {}
         meta: list[dict[str, Any]] = []
         for k, member in enumerate(self.members):

@@ -344,7 +344,6 @@ class LatentModel:
         return x
 
     def to_arrays(self) -> tuple[dict[str, Any], dict[str, FloatArray]]:
-        """Split into JSON-able structure and named arrays."""
         shape = self.shape
         meta = {
             "states": shape.states, "inputs": shape.inputs, "outputs": shape.outputs,
