@@ -109,9 +109,9 @@ def replaced_or_not(folder, write, power):
 
 @HOW
 def test_results_of_an_evaluation(project, tmp_path, monkeypatch, power):
-    found = evaluate.Report(None, type("Outcome", (), {"exit_code": 0}), DOCUMENT, "<p>a: b</p>")
+    found = type("Judgement", (), {"outcome": type("Outcome", (), {"exit_code": 0})})
     monkeypatch.setattr(evaluate, "logs_for", lambda *_: [])
-    monkeypatch.setattr(evaluate, "judge", lambda *_: found)
+    monkeypatch.setattr(evaluate, "report", lambda *_: (found, DOCUMENT, "<p>a: b</p>"))
     monkeypatch.setattr(evaluate, "show", lambda *_: None)
     command = ("evaluate", project / "run", "--out", tmp_path / "out")
     replaced_or_not(tmp_path, lambda: quietly(*command), power)
