@@ -11,12 +11,9 @@ import numpy as np
 
 from narxcal.calibration.bundle import Bundle, load_bundle, read_document
 from narxcal.calibration.calibration import DynamicCalibration
-from narxcal.calibration.certificate import Certificate
-from narxcal.calibration.run_record import RunRecord
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_run
 from narxcal.cli.results import hash_words, interval_words, lag_words, steady_words
-from narxcal.support.settings import read_stored
 
 SCHEMA = "narxcal.info/1"
 _KEPT = ("split", "seeds", "steady_state", "lag_form", "training")
@@ -31,7 +28,7 @@ def run(options: Namespace, console: Console) -> int:
     """Load a bundle, which checks it, and print what is stored about it."""
     bundle = load_bundle(options.bundle, trust=options.trust)
     document = _document(str(options.bundle), bundle, read_document(options.bundle))
-    console.facts(_facts(document, bundle.record))
+    console.facts(_facts(document, bundle))
     console.table(
         "Outputs and the guaranteed bounds of their deviation from steady state",
         ["channel", "unit", "low", "high"],
@@ -143,7 +140,8 @@ def _metrics(run: Path, weights: str) -> dict[str, Any] | None:
         return None
 
 
-def _facts(document: dict[str, Any], record: RunRecord) -> dict[str, str]:
+def _facts(document: dict[str, Any], bundle: Bundle) -> dict[str, str]:
+    record = bundle.record
     split = record.split.items()
     facts = {
         "Model": document["name"] or document["run"],
@@ -156,7 +154,7 @@ def _facts(document: dict[str, Any], record: RunRecord) -> dict[str, str]:
         "Steady state": steady_words(record),
         "Lags": lag_words(record),
         "Interval": document["interval"]["words"],
-        "Constant inputs": read_stored(Certificate, document["certificate"], "certificate").words,
+        "Constant inputs": bundle.certificate.words,
         **{f"{part.capitalize()} logs": ", ".join(logs) or "none" for part, logs in split},
         "Seeds": ", ".join(map(str, record.seeds)),
         "Versions": ", ".join(f"{name} {text}" for name, text in record.versions.items()),
