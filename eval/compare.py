@@ -100,14 +100,22 @@ class Comparison:
     def channels(self) -> tuple[str, ...]:
         return self.recordings[0].channels
 
+    def errors(self, channel: str) -> dict[str, float]:
+        """Run -> RMSE of a channel, of the runs that have one."""
+        found = {row.run: row.channels.get(channel, {}).get("rmse", math.nan) for row in self.rows}
+        return {run: value for run, value in found.items() if math.isfinite(value)}
+
+    @property
+    def least(self) -> dict[str, float]:
+        """Channel -> least RMSE of any run; NaN where none has one."""
+        errors = {name: self.errors(name).values() for name in self.channels}
+        return {name: min(of_all, default=math.nan) for name, of_all in errors.items()}
+
     def summary(self) -> list[str]:
         """Passes of Ti and Tt, then per channel the least RMSE; what differs significantly."""
         lines = [text] if (text := self._passes()) else []
         for name in self.channels:
-            known = {
-                row.run: row.channels[name]["rmse"] for row in self.rows if name in row.channels
-            }
-            known = {run: value for run, value in known.items() if math.isfinite(value)}
+            known = self.errors(name)
             if len(known) < 2:
                 continue
             best = min(known, key=lambda run: known[run])

@@ -12,7 +12,7 @@ from typing import Any
 from eval.outcome import Outcome
 from eval.report.page import RunHeader, render
 from eval.report.style import NOTHING, Picture, number
-from eval.report.tables import Cell, Table, figure
+from eval.report.tables import Cell, Table, row
 from eval.report.view import LogView
 from narxcal.support.files import finite
 
@@ -121,16 +121,7 @@ def or_nan(value: float | None) -> float:
 
 def table_of(caption: str, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
     """Rows of texts, counts, figures or cells as they are; the first value of a row is its head."""
-    lines = [(Cell(str(first), "head"), *map(_cell, rest)) for first, *rest in rows]
-    return Table(caption, tuple(head), tuple(lines))
-
-
-def _cell(value: Cell | str | float | None) -> Cell:
-    if isinstance(value, Cell):
-        return value
-    if isinstance(value, str | int):
-        return Cell(str(value), number=isinstance(value, int))
-    return figure(value)
+    return Table(caption, tuple(head), tuple(row(str(first), *rest) for first, *rest in rows))
 
 
 def claim_table(claims: Sequence[Claim]) -> Table:
