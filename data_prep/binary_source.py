@@ -17,9 +17,10 @@ stamps of their own: the rows are those of all that are read, blank where a chan
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
 from scipy.io import loadmat
@@ -28,9 +29,6 @@ from data_prep.csv_source import Counts, Pace, Words, readable
 from data_prep.text_file import Head
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, DataError, NarxcalError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
 
 _PARQUET = b"PAR1"
 _MATLAB, _MATLAB_73, _HDF5 = b"MATLAB 5.0 MAT", b"MATLAB 7.3 MAT", b"\x89HDF\r\n\x1a\n"

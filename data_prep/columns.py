@@ -8,14 +8,19 @@ from __future__ import annotations
 
 import difflib
 import re
-from typing import TYPE_CHECKING, Protocol
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
-from data_prep.config import ENGINE
+from data_prep.config import ENGINE, ColumnSource, LogsConfig
+from data_prep.csv_source import Counts, Pace, Words
 from data_prep.log import AuditEntry
 from data_prep.naming import is_designation
+from data_prep.text_file import Head
 from data_prep.units import (
+    Unit,
     find_unit,
     is_no_unit,
     is_volume_flow,
@@ -24,17 +29,8 @@ from data_prep.units import (
     to_canonical,
 )
 from narxcal.channels import described
+from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, DataError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from data_prep.config import ColumnSource, LogsConfig
-    from data_prep.csv_source import Counts, Pace, Words
-    from data_prep.text_file import Head
-    from data_prep.units import Unit
-    from narxcal.support.arrays import FloatArray
 
 _SHOWN = 12  # names of columns in a message
 _SEARCHED = 1000  # columns among which a misspelt one is looked for

@@ -8,15 +8,19 @@ import time
 import warnings
 import zlib
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from io import StringIO
-from typing import TYPE_CHECKING, Any, TextIO
+from pathlib import Path
+from typing import Any, TextIO
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
+from data_prep.config import LogsConfig
+from data_prep.log import Action
 from data_prep.text_file import (
     DELIMITERS,
     Dialect,
@@ -29,15 +33,6 @@ from data_prep.text_file import (
 from data_prep.words import is_no_value, plain
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
-
-if TYPE_CHECKING:
-    from collections.abc import Generator, Iterable, Iterator, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from data_prep.config import LogsConfig
-    from data_prep.log import Action
 
 _BLOCK_CHARS = 20_000_000  # a block ends here although more lines were wanted: bounded memory
 _SHOWN_CHARS = 40
@@ -117,7 +112,6 @@ class CsvSource:
                     row += len(rows)
 
     def _line_blocks(self, pace: Pace) -> Generator[list[str]]:
-        """Whole lines below the header."""
         tail = ""  # a line without its end
         with readable(self.path), open_text(self.path) as text:
             for _ in range(self.head.lines):
@@ -237,8 +231,10 @@ class CsvSource:
             cells = self._cells(rows, [*positions.values()], object)
         except ValueError:
             return {}
+        texts = {name: cells[at] for name, at in positions.items()}
         return {
-            name: (cells[at], self._unreadable(name, cells[at])) for name, at in positions.items()
+            name: (own, np.asarray(np.isnan(self._numbers_of(name, own)) & own.notna()))
+            for name, own in texts.items()
         }
 
     def _learn_words(self, texts: Mapping[str, tuple[pd.Series[Any], NDArray[np.bool_]]]) -> bool:
@@ -380,9 +376,6 @@ class CsvSource:
                 engine="c",
             )
         return table.iloc[1:]
-
-    def _unreadable(self, name: str, texts: pd.Series[Any]) -> NDArray[np.bool_]:
-        return np.asarray(np.isnan(self._numbers_of(name, texts)) & texts.notna())
 
 
 def _what_to_do(text: str) -> str:

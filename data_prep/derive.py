@@ -7,8 +7,9 @@ own units (`units_that_agree`). Channels are `(rows,)`, in canonical units unles
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from pydantic import Field, PositiveFloat
@@ -26,9 +27,6 @@ from narxcal.atmosphere import (
 from narxcal.support.arrays import FloatArray, sample_and_hold
 from narxcal.support.errors import ConfigError
 from narxcal.support.settings import Section
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
 
 # To find units: rows of a recording that are looked at, and of them in flight, at least.
 _ROWS, _FEWEST = 400, 10

@@ -8,7 +8,6 @@ of numbers gives a draft, be nothing in it known but the names of its columns.
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -28,7 +27,7 @@ from data_prep.words import code_words, switch
 from narxcal.channels import CHANNELS, SPOOLS, described
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
-from narxcal.support.settings import OPEN
+from narxcal.support.settings import OPEN, in_toml
 
 _BLOCKS = 20  # of 50,000 rows that are looked at
 _FEWEST = 2  # values of a channel
@@ -86,9 +85,7 @@ class Line:
 
     def __str__(self) -> str:
         """Return the line in TOML."""
-        keys = ", ".join(
-            f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in self.keys.items()
-        )
+        keys = ", ".join(f"{key} = {in_toml(value)}" for key, value in self.keys.items())
         return f"{self.channel} = {{ {keys} }}  # {self.why}"
 
 

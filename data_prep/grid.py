@@ -11,19 +11,14 @@ parts again, in which gaps are samples that nobody measured.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from data_prep.log import LONG_SPAN_S, Audit, AuditEntry, Log
+from data_prep.log import LONG_SPAN_S, Action, Audit, AuditEntry, Log
 from narxcal.channels import described
 from narxcal.support.arrays import BoolArray, FloatArray, runs
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
-    from data_prep.log import Action
 
 ON_GRID = 0.01  # of the interval: samples closer than this to a grid time are on it
 OWN_INTERVALS = 2.5  # a slower channel may miss one of its own samples
@@ -45,7 +40,6 @@ class Grid:
 
     @property
     def time_s(self) -> FloatArray:
-        """The times `(samples,)`."""
         return self.start_s + np.arange(self.samples, dtype=np.float64) * self.interval_s
 
     def steps(self, time: FloatArray) -> FloatArray:
@@ -182,7 +176,6 @@ def _account(
 
 
 def _times(flags: BoolArray, grid: Grid) -> tuple[tuple[float, float], ...]:
-    """List the runs of True as (first, last) times."""
     starts, stops = runs(flags)
     time = grid.time_s
     return tuple(zip(time[starts].tolist(), time[stops - 1].tolist(), strict=True))
@@ -204,7 +197,6 @@ class StreamAudit:
         self._interval_s = 1.0
 
     def count(self, channel: str, action: Action, reason: str, samples: int) -> None:
-        """Add `samples`."""
         key = channel, action, reason
         self._samples[key] = self._samples.get(key, 0) + samples
 

@@ -109,7 +109,6 @@ class Finding:
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """The channels that take part."""
         return (self.channel, self.partner) if self.partner else (self.channel,)
 
     @property
@@ -119,7 +118,6 @@ class Finding:
 
     @property
     def masks(self) -> bool:
-        """Whether its samples are masked."""
         return self.local and self.probability >= MASK
 
     @property
@@ -134,13 +132,11 @@ class Finding:
         return (time_s >= self.start_s) & (time_s <= self.end_s)
 
     def row(self) -> dict[str, Any]:
-        """One entry of `findings` in JSON."""
         size = None if np.isnan(self.size) else self.size
         return {**asdict(self), "size": size, "remedy": self.remedy}
 
     @classmethod
     def from_row(cls, row: Mapping[str, Any]) -> Finding:
-        """Rebuild from `row`."""
         known = {name: value for name, value in row.items() if name != "remedy"}
         return cls(**{**known, "size": np.nan if row["size"] is None else row["size"]})
 

@@ -9,32 +9,27 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
-from typing import TYPE_CHECKING, NamedTuple
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from data_prep.binary_source import open_binary
-from data_prep.columns import constants, head_entries, map_columns, sources_of, to_channel
+from data_prep.columns import Table, constants, head_entries, map_columns, sources_of, to_channel
+from data_prep.config import LogsConfig
 from data_prep.csv_source import Counts, Pace, open_csv, readable
 from data_prep.log import CODE_WORD, AuditEntry
 from data_prep.stamps import DAY_S, Passed, clock_goes_on, ordered_rows
 from data_prep.stream import GridStream
 from data_prep.words import CodeWords, Labels, switch
 from narxcal.channels import described
+from narxcal.support.arrays import FloatArray, IntArray
 from narxcal.support.errors import DataError, did_you_mean
 from narxcal.support.files import sha256_of
 from narxcal.support.moments import stamp
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from data_prep.columns import Table
-    from data_prep.config import LogsConfig
-    from narxcal.support.arrays import FloatArray, IntArray
 
 # Numbers in a block: 40 MB. A recording of hours is one block, so that the rate of the rows and of
 # each channel is found from all of it; in a larger file they are found from blocks of this size.
@@ -81,7 +76,6 @@ class LogFile:
         return frozenset(name for columns in self._columns.values() for name in columns)
 
     def sha256(self) -> str:
-        """Hash of the file's bytes."""
         with readable(self.path):
             return sha256_of(self.path)
 
@@ -179,7 +173,6 @@ class LogFile:
             yield _one_block(waiting)
 
     def stream(self, dt_s: float, look_ahead_s: float, rows_s: float | None = None) -> GridStream:
-        """Return the stream that puts the rows of one engine on a grid of `dt_s`."""
         known = constants(self._sources)
         return GridStream(
             self.config, dt_s, look_ahead_s, str(self.path), known, self.hourly, rows_s
@@ -221,7 +214,6 @@ class _Part(NamedTuple):
 
     @property
     def span_s(self) -> tuple[float, float]:
-        """First and last stamp."""
         return float(self.time_s[0]), float(self.time_s[-1])
 
 
@@ -261,7 +253,6 @@ class Flight:
 
     @property
     def truncated(self) -> bool:
-        """Whether one of the files broke off within a row."""
         return any(file.truncated for file in self.files)
 
     def sha256(self) -> str:
@@ -289,7 +280,6 @@ class Flight:
         yield {engine: _joined(parts) for engine, parts in whole.items() if parts}
 
     def large_blocks(self) -> Iterator[dict[str, Rows]]:
-        """Yield the same for all engines."""
         return self.blocks(self.engines)
 
     def counted(self) -> dict[str, Counts]:

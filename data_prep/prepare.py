@@ -95,7 +95,6 @@ class Prepared:
 
     @cached_property
     def warnings(self) -> tuple[LogWarning, ...]:
-        """All warnings about the log."""
         found = {
             "crowded": _crowded(self.log),
             "fragment": _fragments(self.log),
@@ -103,7 +102,7 @@ class Prepared:
             "masked": _all_masked(self.log),
             "coded": _coded(self.log),
             "outputs": _unrecorded(self.log, self.outputs, self.tables.logs),
-            "rate": _seldom(self.log, self.tables.events),
+            "rate": _slow_rate(self.log, self.tables.events),
             "driver": other_driver(self.log, self.tables.events.driver),
             "condition": needs_condition(self.log, self.tables.events),
             "window": blurs(self.tables.smooth, self.log.dt_s),
@@ -222,7 +221,7 @@ def _coded(log: Log) -> str:
     return f"half of the samples or more are code words: {', '.join(most)}" if most else ""
 
 
-def _seldom(log: Log, events: EventsConfig) -> str:
+def _slow_rate(log: Log, events: EventsConfig) -> str:
     """Warn of channels whose sampling interval exceeds the tolerance on Ti and Tt."""
     filled = {entry.channel: entry.samples for entry in log.audit.entries if entry.reason == SLOW}
     slow = []

@@ -8,9 +8,9 @@ replay` reads by the same classes.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,13 +19,8 @@ from data_prep.csv_source import Counts
 from data_prep.log import Audit, Log, Source
 from data_prep.log_file import Flight, LogFile, Rows, open_log
 from data_prep.stamps import Passed, all_apart, clock_goes_on, ordered_rows, usual_interval
-from data_prep.stream import GridStream
+from data_prep.stream import GridStream, Piece
 from narxcal.support.errors import DataError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-
-    from data_prep.stream import Piece
 
 _LEAST_AHEAD_S = 5.0  # of rows in the next block, to bridge blanks of slow channels
 SAME_INTERVAL = 1e-3  # relative difference of sampling intervals that is none
@@ -142,7 +137,6 @@ class _Growing:
             self.pieces.append(piece)
 
     def finished(self) -> list[Log]:
-        """Return all logs, after the last row."""
         if not self.over:  # an instance that the last block does not have
             self.push({}, last=True)
         self._finish(self.stream.audit.taken())

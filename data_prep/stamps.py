@@ -10,11 +10,13 @@ in between.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
 from data_prep.grid import ON_GRID
@@ -22,11 +24,6 @@ from data_prep.log import AuditEntry
 from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import DataError
 from narxcal.support.moments import stamp
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from numpy.typing import NDArray
 
 _MAX_DECIMALS = 7
 _BASELINES_ROWS = (256, 64, 16, 4)
@@ -68,7 +65,7 @@ class Passed(NamedTuple):
 _NOTHING = Passed()
 
 
-def past(
+def unwrap_clock(
     period_s: float,
     stamps: FloatArray,
     so_far: tuple[float, int] = (np.nan, 0),
@@ -108,8 +105,8 @@ def clock_goes_on(
     going_on, hours = stamps, passed.hours
     if passed.hourly:
         since = before_s - passed.days * DAY_S
-        going_on, hours = past(_HOUR_S, stamps, (since, hours), max_gap_s)
-    daily, days = past(DAY_S, going_on, (before_s, passed.days))
+        going_on, hours = unwrap_clock(_HOUR_S, stamps, (since, hours), max_gap_s)
+    daily, days = unwrap_clock(DAY_S, going_on, (before_s, passed.days))
     entries = (
         AuditEntry("*", "repaired", FULL_HOUR, int((going_on > stamps).sum())),
         AuditEntry("*", "repaired", MIDNIGHT, int((daily > going_on).sum())),

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from data_prep.config import LogsConfig
 from data_prep.derive import derive
 from data_prep.grid import ON_GRID, Grid, StreamAudit, interpolated, resample
 from data_prep.log import Audit
@@ -23,13 +25,6 @@ from data_prep.stamps import (
 from narxcal.channels import described
 from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import DataError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
-    from numpy.typing import NDArray
-
-    from data_prep.config import LogsConfig
 
 # Rows kept before the next sample: a channel recorded once in several seconds is still bridged.
 _BEHIND_S = 10.0

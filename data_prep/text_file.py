@@ -13,23 +13,20 @@ import io
 import re
 import zlib
 from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain, islice
-from typing import TYPE_CHECKING, BinaryIO, TextIO, cast
+from pathlib import Path
+from typing import BinaryIO, TextIO, cast
 
 from data_prep.clock import Clock, clock_of, is_ambiguous, is_clock, order_of
+from data_prep.config import LogsConfig
 from data_prep.naming import read_name
 from data_prep.units import is_no_unit, is_unit_text
 from data_prep.words import is_no_value
 from data_prep.workbook import MAGIC_BYTES as WORKBOOK_BYTES
 from data_prep.workbook import is_workbook, sheet_text
 from narxcal.support.errors import DataError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
-
-    from data_prep.config import LogsConfig
 
 DELIMITERS = (";", "\t", "|", ",")
 MAX_LINE_CHARS = 1_000_000

@@ -67,7 +67,6 @@ class Labels:
         return self._numbers[label]
 
     def label(self, number: float) -> str:
-        """Return the label of a number."""
         known = (label for label, each in self._numbers.items() if each == number)
         return next(known, f"{number:.10g}")
 

@@ -77,7 +77,6 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _measured(options: argparse.Namespace) -> Iterator[Row]:
-    """Rows of the part that was chosen."""
     data, seed = options.data, options.seed
     if options.untuned:
         yield from untuned.rows(data, seed)

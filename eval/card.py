@@ -73,7 +73,6 @@ class Card:
         return climb + sum(one.minutes for one in some)
 
     def document(self) -> dict[str, Any]:
-        """JSON-able."""
         return {
             "schema": CARD_SCHEMA,
             "purpose": self.purpose,

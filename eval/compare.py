@@ -78,7 +78,6 @@ class Row:
     coverage_90: float | None = None
 
     def document(self) -> dict[str, Any]:
-        """One entry of `rows`."""
         return {**vars(self), "ti_tt": None if self.ti_tt is None else self.ti_tt.row()}
 
 
@@ -99,17 +98,24 @@ class Comparison:
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """Channels of all models."""
         return self.recordings[0].channels
+
+    def errors(self, channel: str) -> dict[str, float]:
+        """Run -> RMSE of a channel, of the runs that have one."""
+        found = {row.run: row.channels.get(channel, {}).get("rmse", math.nan) for row in self.rows}
+        return {run: value for run, value in found.items() if math.isfinite(value)}
+
+    @property
+    def least(self) -> dict[str, float]:
+        """Channel -> least RMSE of any run; NaN where none has one."""
+        errors = {name: self.errors(name).values() for name in self.channels}
+        return {name: min(of_all, default=math.nan) for name, of_all in errors.items()}
 
     def summary(self) -> list[str]:
         """Passes of Ti and Tt, then per channel the least RMSE; what differs significantly."""
         lines = [text] if (text := self._passes()) else []
         for name in self.channels:
-            known = {
-                row.run: row.channels[name]["rmse"] for row in self.rows if name in row.channels
-            }
-            known = {run: value for run, value in known.items() if math.isfinite(value)}
+            known = self.errors(name)
             if len(known) < 2:
                 continue
             best = min(known, key=lambda run: known[run])
@@ -128,7 +134,6 @@ class Comparison:
         return lines
 
     def _passes(self) -> str:
-        """Which model passes most transients, and which significantly fewer."""
         judged = {row.run: row.ti_tt for row in self.rows if row.ti_tt and row.ti_tt.assessed}
         if len(judged) < 2:
             return ""

@@ -26,7 +26,6 @@ from training.folds import (
     LEAVE_ONE_OUT,
     RANDOM,
     Plan,
-    Segment,
     leave_one_flight_out,
     random_splits,
 )
@@ -62,7 +61,6 @@ class FoldResult:
     not_judged: tuple[str, ...] = ()
 
     def row(self) -> dict[str, Any]:
-        """One entry of `folds` in `crossval.json`."""
         names = {key: list(getattr(self, key)) for key in ("train", "test", "not_judged")}
         return {"name": self.name, "seed": self.seed, **names, "values": self.figures}
 
@@ -78,7 +76,6 @@ class CrossValidation:
 
     @property
     def schemes(self) -> dict[str, tuple[FoldResult, ...]]:
-        """Scheme -> its folds."""
         names = dict.fromkeys(fold.scheme for fold in self.folds)
         return {name: tuple(f for f in self.folds if f.scheme == name) for name in names}
 
@@ -179,7 +176,7 @@ def judge_fold(bundle: Bundle, plan: Plan) -> FoldResult:
     """Judge a fold's calibration on its test segments."""
     _, settings = run_config(bundle)
     inputs = bundle.calibration.input_names
-    usable = [part for part in plan.test if _has_inputs(part, inputs)]
+    usable = [part for part in plan.test if np.isfinite(part.log.matrix(inputs)).any(axis=0).all()]
     judged = [assess_log(bundle, part.log, settings, events=part.own_events) for part in usable]
     return FoldResult(
         scheme=plan.scheme,
@@ -211,7 +208,6 @@ def spread(folds: Sequence[FoldResult]) -> dict[str, dict[str, float | None]]:
 
 
 def total(folds: Sequence[FoldResult], key: str) -> int:
-    """Sum of a count over folds."""
     return sum(int(fold.figures.get(key) or 0) for fold in folds)
 
 
@@ -249,10 +245,6 @@ def _learnable(plans: Sequence[Plan], outputs: Sequence[str]) -> Sequence[Plan]:
                     hint="Take it out of [narx] outputs, or add logs that have it",
                 )
     return plans
-
-
-def _has_inputs(part: Segment, names: Sequence[str]) -> bool:
-    return bool(np.isfinite(part.log.matrix(names)).any(axis=0).all())
 
 
 def _figures(judged: Sequence[LogEvaluation]) -> dict[str, float | None]:

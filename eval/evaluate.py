@@ -22,7 +22,7 @@ from eval.outcome import Outcome, plural
 from eval.run_logs import EvaluateConfig, run_config
 from eval.scores import ChannelScores, score
 from narxcal.calibration.bundle import Bundle
-from narxcal.calibration.certificate import Certificate, certificate_of
+from narxcal.calibration.certificate import Certificate
 from narxcal.channels import described, symbol
 from narxcal.steady.model import Envelope, SteadyStateModel
 from narxcal.support.errors import ConfigError
@@ -51,7 +51,6 @@ class Evaluation:
 
     @property
     def assessments(self) -> list[Assessment]:
-        """Those of all logs."""
         return [each for log in self.logs for each in log.assessments]
 
     @property
@@ -93,7 +92,7 @@ class Evaluation:
             *self._unknown_errors(),
             *self._copied(),
             *self._loose_bounds(),
-            *self._contradictions(),
+            *(text for one in self.logs for text in contradictions(one.log, one.run.channels)),
             *self._not_judged(),
             *self._too_few_events(),
         ]
@@ -149,9 +148,6 @@ class Evaluation:
         pairs = {name: (own.get(name), default.get(name)) for name in names}
         return {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}
 
-    def _contradictions(self) -> list[str]:
-        return [text for one in self.logs for text in contradictions(one.log, one.run.channels)]
-
     def _not_judged(self) -> list[str]:
         """Outputs of which too little is judged, in one count over cleaning, faults and gaps."""
         least = self.config.least_judged_pct
@@ -204,7 +200,6 @@ class Evaluation:
 
     @property
     def findings(self) -> list[Finding]:
-        """Those of all logs."""
         return [each for log in self.logs for each in log.log.findings]
 
     def _failed_times(self) -> list[str]:
@@ -424,12 +419,7 @@ def evaluate(
     for number, log in enumerate(logs):
         progress(number, len(logs), log.name)
         found.append(assess_log(bundle, log, settings, trim=trim))
-    return Evaluation(tuple(found), settings, trim, mixture_sentences(bundle), certificate(bundle))
-
-
-def certificate(bundle: Bundle) -> Certificate:
-    """Whether the model settles at constant inputs, as stored or as found now."""
-    return certificate_of(bundle.calibration, bundle.record.certificate)
+    return Evaluation(tuple(found), settings, trim, mixture_sentences(bundle), bundle.certificate)
 
 
 def outside_envelopes(bundle: Bundle, found: Evaluation) -> list[str]:

@@ -29,25 +29,20 @@ The errors on held-out logs hold the noise of the sensors. A tenth of the least 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from scipy.stats import beta
 from scipy.stats import t as student
 
+from data_prep.identity import Shared
 from data_prep.log import Log
-from narxcal.calibration.run_record import MixtureChannel
+from eval.free_run import FreeRun
+from narxcal.calibration.run_record import RunRecord
 from narxcal.channels import described, symbol
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from data_prep.identity import Shared
-    from eval.free_run import FreeRun
-    from narxcal.calibration.run_record import RunRecord
-    from training.transients import Assessment
+from training.transients import Assessment
 
 BLANK: Final = "blank"  # why `data_prep.grid` filled a sample: no row held it
 _SCATTER, _PRIOR_LOGS, _FALSE_ALARMS = 0.35, 3.0, 0.05
@@ -113,16 +108,11 @@ def error_checks(record: RunRecord, run: FreeRun, rmse: Mapping[str, float]) -> 
 
 
 def _known_errors(record: RunRecord, name: str) -> tuple[list[float], bool]:
-    """RMSE of held-out logs; of an older run that of all training logs together."""
+    """RMSE of the logs that training held out, and whether they were fitted to all the same."""
     held = record.held_out
-    if held is not None and held.rmse.get(name):
-        return [each for each in held.rmse[name] if math.isfinite(each)], held.fitted
-    one = record.weighed.channels.get(name, MixtureChannel())
-    pooled = one.held_out_rmse.get("mixture")
-    if pooled is not None:
-        return [pooled], False
-    fit = record.free_run.rmse.get(name, math.nan) if record.free_run else math.nan
-    return ([fit] if math.isfinite(fit) else []), True
+    if held is None:
+        return [], True
+    return [each for each in held.rmse.get(name, ()) if math.isfinite(each)], held.fitted
 
 
 def _allowed(
@@ -187,7 +177,6 @@ class Count:
         return 100.0 * float(low)
 
     def row(self) -> dict[str, Any]:
-        """For JSON."""
         return {**asdict(self), "at_least_pct": self.at_least_pct}
 
 

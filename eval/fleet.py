@@ -344,7 +344,6 @@ class Fleet:
 
     @cached_property
     def flights(self) -> Folder:
-        """The folder of the logs."""
         return Folder(self.config.flights)
 
     def list_files(self, progress: Progress = silent) -> list[Row]:

@@ -86,7 +86,7 @@ def _of_lags(bundle: Bundle, own: DynamicCalibration, lag: LumpedEngine) -> Para
     share = own.members.rest(len(own.output_names))[:, None] * table.unit[free]
 
     def slopes(inputs: FloatArray) -> FloatArray:
-        given = own.acting(inputs)
+        given = own.delayed_inputs(inputs)
         drive = lag.drive(given, own.input_names, own.settled(inputs))
         start = lag.start(np.zeros(len(own.output_names)))
         return -share * lag.slopes(wanted, drive, (AT_START, start[None]), own.dt_s)
@@ -173,7 +173,6 @@ class Experiment:
 
     @cached_property
     def parameters(self) -> Parameters:
-        """Dynamic parameters of the run."""
         return parameters_of(self.bundle)
 
     @cached_property

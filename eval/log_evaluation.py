@@ -67,11 +67,9 @@ class LogEvaluation:
 
     @property
     def assessments(self) -> list[Assessment]:
-        """Those of all events, event by event."""
         return [each for event in self.events for each in event.assessments]
 
     def row(self) -> dict[str, Any]:
-        """One entry of `logs` in `evaluate.json`."""
         run, log = self.run, self.log
         channels = {name: figures.row() for name, figures in self.scores.items()}
         for name, before in self.untrimmed.items():
@@ -218,8 +216,7 @@ def role_of(bundle: Bundle, log: Log) -> tuple[str, Shared | None]:
         return NEW, None
     split = bundle.record.split
     named = next((role for role in split if log.name in split[role]), None)
-    # Of an older run the bytes alone are known: whatever their name, they may have been learned.
-    return named or (NEW if known else "train"), None
+    return named or NEW, None
 
 
 def masked_shares(recorded: Log, log: Log, names: Sequence[str]) -> dict[str, float]:

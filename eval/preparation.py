@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,15 +11,13 @@ import pandas as pd
 
 from data_prep.clean import clean
 from data_prep.events import PUSH, Event
-from data_prep.log import Audit, Finding, Log, Source
+from data_prep.log import Log
 from data_prep.plausibility import checked, of_cleaning
 from data_prep.prepare import LogWarning, Prepared, in_lines
 from data_prep.ranking import STRONG, pearson, ranked
 from data_prep.smooth import compare_windows, frequency_response, moving_average, smooth
 from eval.report.figures import WindowTrial
-from eval.report.page import PreparedLog
 from eval.report.view import LogView
-from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
 from training.config import RunConfig
 from training.transients import AssessedEvent
@@ -38,57 +36,23 @@ class LogReport:
     `data_prep.smooth.compare_windows` on the cleaned log, and `trial` its figure.
     """
 
-    prepared: Prepared
+    log: Log
+    driver: str
+    events: tuple[Event, ...]
+    warnings: tuple[LogWarning, ...]
     ranking: pd.DataFrame
     windows: pd.DataFrame
     trial: WindowTrial
 
-    @property
-    def log(self) -> Log:
-        """The prepared log."""
-        return self.prepared.log
-
-    @property
-    def name(self) -> str:
-        """The log's name."""
-        return self.log.name
-
-    @property
-    def events(self) -> tuple[Event, ...]:
-        """Its pushes and pulls."""
-        return self.prepared.events
-
-    @property
-    def warnings(self) -> tuple[LogWarning, ...]:
-        """What a reader of its figures has to know."""
-        return self.prepared.warnings
-
-    @property
-    def findings(self) -> tuple[Finding, ...]:
-        """What the log alone shows to be wrong with it."""
-        return self.log.findings
-
-    def summary(self, number: str) -> LogSummary:
-        """What is kept of the log; `number` is that of `PreparedLog`."""
-        return LogSummary(
-            name=self.log.name,
-            source=self.log.source,
-            document=self.to_dict(),
-            events=self.events,
-            ranking=self.ranking,
-            windows=self.windows,
-            warnings=self.warnings,
-            findings=self.findings,
-            page=PreparedLog.of(self.view(), self.trial, number),
-            driver=self.prepared.tables.events.driver,
-            audit=self.log.audit,
-        )
+    def without_samples(self) -> LogReport:
+        """What is kept of a log once it is written: thousands of them fit into memory."""
+        empty = replace(self.log, time_s=np.empty(0), channels={}, interpolated={})
+        return replace(self, log=empty)
 
     def view(self) -> LogView:
-        """The log as pages show it."""
         return LogView(
             log=self.log,
-            driver=self.prepared.tables.events.driver,
+            driver=self.driver,
             outputs=tuple(self.ranking.columns),
             events=[AssessedEvent(event) for event in self.events],
             pearson=self.ranking,
@@ -109,12 +73,11 @@ class LogReport:
             "audit": [asdict(entry) for entry in log.audit.entries],
             "masked": log.audit.masked(),
             "events": self.counts(),
-            "findings": [each.row() for each in self.findings],
+            "findings": [each.row() for each in log.findings],
             "not_ranked": self.ranking.attrs["reasons"],
         }
 
     def counts(self) -> dict[str, int]:
-        """Events in all and by kind."""
         events = self.events
         kinds = {kind: sum(one.speed == kind for one in events) for kind in _SPEEDS}
         return {
@@ -130,38 +93,7 @@ class LogReport:
 _SPEEDS = ("fast", "slow", "small")
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class LogSummary:
-    """What is kept of a prepared log once it is written: thousands of them fit into memory.
-
-    `document` is that of `LogReport.to_dict`.
-    """
-
-    name: str
-    source: Source
-    document: dict[str, Any]
-    events: tuple[Event, ...]
-    ranking: pd.DataFrame
-    windows: pd.DataFrame
-    warnings: tuple[LogWarning, ...]
-    findings: tuple[Finding, ...]
-    page: PreparedLog
-    driver: str
-    audit: Audit
-
-    def drawn(self, columns: Mapping[str, FloatArray]) -> PreparedLog:
-        """Draw the log from its samples as they were written, `time_s` among them."""
-        channels = {name: values for name, values in columns.items() if name != "time_s"}
-        log = Log(self.name, columns["time_s"], channels, self.audit, self.source)
-        events = [AssessedEvent(event) for event in self.events]
-        outputs = tuple(self.ranking.columns)
-        view = LogView(
-            log=log, driver=self.driver, outputs=outputs, events=events, pearson=self.ranking
-        )
-        return self.page.with_pictures(view)
-
-
-def most_to_show(logs: Sequence[LogSummary], count: int) -> list[int]:
+def most_to_show(logs: Sequence[LogReport], count: int) -> list[int]:
     """Numbers of the logs with the most warnings, then the most events, in their order."""
     ranked_logs = sorted((-len(one.warnings), -len(one.events), k) for k, one in enumerate(logs))
     return sorted(k for _, _, k in ranked_logs[:count])
@@ -188,30 +120,33 @@ def examine(raw: Log, config: RunConfig) -> LogReport:
     sizes = sorted({*WINDOWS, window})
     windows = compare_windows(cleaned, outputs, sizes)
     return LogReport(
-        prepared,
+        log,
+        config.events.driver,
+        events,
+        prepared.warnings,
         ranking=ranked(pearson(log, _candidates(log, config), outputs)),
         windows=windows,
         trial=_trial(cleaned, events, windows, window),
     )
 
 
-def cautions_about(logs: Sequence[LogSummary | LogReport]) -> list[str]:
+def cautions_about(logs: Sequence[LogReport]) -> list[str]:
     """Word the warnings and findings about logs."""
     warned = in_lines(warning for one in logs for warning in one.warnings)
-    return [*warned, *(each.caution for one in logs for each in one.findings)]
+    return [*warned, *(each.caution for one in logs for each in one.log.findings)]
 
 
-def events_table(logs: Sequence[LogSummary | LogReport]) -> pd.DataFrame:
+def events_table(logs: Sequence[LogReport]) -> pd.DataFrame:
     """One row per event of all logs."""
     events = [event for one in logs for event in one.events]
     columns = [*Event.__dataclass_fields__]
     return pd.DataFrame({name: [getattr(event, name) for event in events] for name in columns})
 
 
-def pearson_table(logs: Sequence[LogSummary | LogReport]) -> pd.DataFrame:
+def pearson_table(logs: Sequence[LogReport]) -> pd.DataFrame:
     """One row per log, input and output: rho, and whether it is strong (|rho| >= 0.8)."""
     rows = [
-        {"log": one.name, "input": source, "output": target, "rho": rho}
+        {"log": one.log.name, "input": source, "output": target, "rho": rho}
         for one in logs
         for target in one.ranking.columns
         for source, rho in one.ranking[target].items()
@@ -220,9 +155,9 @@ def pearson_table(logs: Sequence[LogSummary | LogReport]) -> pd.DataFrame:
     return table.assign(strong=table["rho"].abs() >= STRONG)
 
 
-def windows_table(logs: Sequence[LogSummary | LogReport]) -> pd.DataFrame:
+def windows_table(logs: Sequence[LogReport]) -> pd.DataFrame:
     """One row per log, channel and window."""
-    return pd.concat([one.windows.assign(log=one.name) for one in logs], ignore_index=True)
+    return pd.concat([one.windows.assign(log=one.log.name) for one in logs], ignore_index=True)
 
 
 def _candidates(log: Log, config: RunConfig) -> list[str]:

@@ -191,12 +191,10 @@ class Test:
 
     @property
     def title(self) -> str:
-        """Title of the sheet."""
         return self.entry.title or usual_title(self.manoeuvre, self.one, self.view.log)
 
     @property
     def result(self) -> bool | None:
-        """Whether every deciding channel that could be assessed passes; None if none could."""
         return result_of(self.one, self.deciding)
 
     @property
@@ -208,7 +206,6 @@ class Test:
 
     @property
     def condition_met(self) -> bool | None:
-        """Whether the event was flown where the rules want it; None where no log says."""
         return _condition_met(self.view.log, self.one.event.start, self.manoeuvre)
 
     def row(self) -> dict[str, Any]:
@@ -285,7 +282,6 @@ class Found:
 
     @property
     def identity(self) -> tuple[str, str, float]:
-        """What makes two tests the same event."""
         return _identity(self.view.log.source.sha256, *self.at)
 
     def reason(self, deciding: Sequence[str], rules: Rules) -> str:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from statistics import NormalDist
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import Any, Literal, Self, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,9 @@ from data_prep.csv_source import Pace
 from data_prep.faults import out_of_range
 from data_prep.log import Finding
 from data_prep.log_file import open_log
+from data_prep.stream import Piece
+from narxcal.calibration.bundle import Bundle
+from narxcal.calibration.calibration import Calibration
 from narxcal.calibration.fuser import FastFuser
 from narxcal.calibration.fuser_config import FuserConfig
 from narxcal.calibration.noise import MIN_SAMPLES, STORED, NoiseModel, estimate_noise
@@ -32,13 +35,6 @@ from narxcal.support.errors import ConfigError, DataError
 from narxcal.support.files import TIME_FORMAT, atomic_stream
 from narxcal.support.interrupt import held_interrupt
 from narxcal.support.settings import Section
-
-if TYPE_CHECKING:
-    from typing import TextIO
-
-    from data_prep.stream import Piece
-    from narxcal.calibration.bundle import Bundle
-    from narxcal.calibration.calibration import Calibration
 
 # At full speed rows can wait until the next measurement of a slow channel is known.
 # Rows per sample of the model, half of what minutes read as seconds give.
@@ -446,7 +442,6 @@ class ReplaySummary:
         return texts
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
         return {
             **asdict(self), "missed": self.missed,
             "findings": [each.row() for each in self.findings],
@@ -519,7 +514,6 @@ class _Replay:
 
     @property
     def _has_interval(self) -> bool:
-        """Whether the bundle has an interval of the free run."""
         return self.model.calibration.interval is not None
 
     def _engines(self, log: Path) -> tuple[str, ...]:

@@ -188,7 +188,7 @@ class PreparedLogs(_Drawn):
     @property
     def summary(self) -> Summary:
         """What shells and notebooks show."""
-        rows = [{"log": one.name, **one.counts()} for one in self.reports]
+        rows = [{"log": one.log.name, **one.counts()} for one in self.reports]
         return Summary(f"{len(self)} prepared logs", self.cautions, pd.DataFrame(rows))
 
 

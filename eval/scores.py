@@ -51,7 +51,8 @@ def nrmse(measured: FloatArray, model: FloatArray, mask: BoolArray | None = None
     1 is what the measurement's own mean would reach as a model.
     """
     valid = _valid(measured, model, mask)
-    error, swing = _mean((model - measured) ** 2, valid), _variance(measured, valid)
+    error = _mean((model - measured) ** 2, valid)
+    swing = _mean((measured - _mean(measured, valid)) ** 2, valid)
     constant = swing <= _ROUNDING * _mean(measured**2, valid)
     return np.sqrt(_ratio(error, np.where(constant, 0.0, swing)))
 
@@ -100,10 +101,6 @@ def _valid(measured: FloatArray, model: FloatArray, mask: BoolArray | None) -> B
 def _mean(values: FloatArray, valid: BoolArray) -> FloatArray:
     """Mean over time of the valid samples; NaN where there is none."""
     return _ratio(np.where(valid, values, 0.0).sum(axis=0), valid.sum(axis=0).astype(np.float64))
-
-
-def _variance(values: FloatArray, valid: BoolArray) -> FloatArray:
-    return _mean((values - _mean(values, valid)) ** 2, valid)
 
 
 def _ratio(numerator: FloatArray, denominator: FloatArray) -> FloatArray:

@@ -137,7 +137,6 @@ class _Flight:
 
     @property
     def stretches(self) -> int:
-        """How many stretches the flight gives."""
         longest = max(correlation_time(error, self.dt_s) for error in (*self.a, *self.b))
         shortest_s = min(len(error) for error in self.a) * self.dt_s
         return int(np.clip(shortest_s / (_LENGTH * longest), 1, _MOST))

@@ -145,10 +145,6 @@ def print_comparison(console: Console, found: Comparison) -> None:
     heads = ("size", "fit [s]", "us", "in 90 %")
     for head in ("Ti, Tt", *map(with_unit, found.channels), *heads):
         table.add_column(head, justify="right", no_wrap=True)
-    least = {
-        name: min(row.channels[name]["rmse"] for row in found.rows if name in row.channels)
-        for name in found.channels
-    }
     for row in found.rows:
         errors = [row.channels.get(name, {}).get("rmse", math.nan) for name in found.channels]
         passed = None if row.ti_tt is None else f"{row.ti_tt.passed}/{row.ti_tt.assessed}"
@@ -156,7 +152,7 @@ def print_comparison(console: Console, found: Comparison) -> None:
         table.add_row(
             Text(row.run),
             Text(passed or number(None)),
-            *(_figure(value, best) for value, best in zip(errors, least.values(), strict=True)),
+            *map(_figure, errors, found.least.values()),
             Text(number(None) if row.parameters is None else str(row.parameters)),
             *(Text(number(value, 2)) for value in (row.fit_s, row.simulate_us, coverage)),
         )

@@ -62,12 +62,10 @@ class Key(NamedTuple):
 
     @property
     def who(self) -> str:
-        """Tail and engine."""
         return f"{self.tail} {self.engine}".strip()
 
     @property
     def what(self) -> str:
-        """Quantity and output."""
         error = " error" if self.quantity in ("Ti", "Tt") else ""
         return f"{self.quantity}{error} of {symbol(self.channel)}"
 
@@ -109,11 +107,9 @@ class Alarm:
 
     @property
     def engines(self) -> tuple[str, ...]:
-        """Engines that changed."""
         return tuple(sorted({key.engine for key, _ in self.changes}))
 
     def row(self) -> dict[str, Any]:
-        """One entry of `alarms` in JSON."""
         names = ("tail", "kind", "at", "first", "last", "hours", "cause", "before", "after")
         changes = [
             {"engine": key.engine, "channel": key.channel, "quantity": key.quantity,
@@ -156,7 +152,6 @@ class Watch:
         return Outcome(passed, headline, (line, *self.remarks))
 
     def document(self) -> dict[str, Any]:
-        """Everything as JSON."""
         return {
             "schema": SCHEMA,
             "ok": self.outcome.passed,

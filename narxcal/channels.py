@@ -167,7 +167,6 @@ def described(name: str) -> Channel:
 
 
 def is_switch(name: str) -> bool:
-    """Whether a channel is a switch, 0 or 1."""
     return described(name).role == "switch"
 
 

@@ -113,14 +113,13 @@ class HalfWidths:
     """Half-widths of intervals over `x`, one table per output, from `pieces` held-out pieces.
 
     `knots` (bins,) are values of x, `widths` (levels, bins) the half-widths there, `between` the
-    standard deviations of another recording's offset that are part of them: older models do
-    not say them.
+    standard deviations of another recording's offset that are part of them.
     """
 
     knots: tuple[FloatArray, ...]
     widths: tuple[FloatArray, ...]
     pieces: int
-    between: tuple[float, ...] = ()
+    between: tuple[float, ...]
 
     @classmethod
     def of(cls, held: Sequence[HeldErrors], prior: FloatArray) -> Self:
@@ -163,7 +162,6 @@ class HalfWidths:
         return np.stack(columns, axis=1)
 
     def to_json(self) -> dict[str, Any]:
-        """JSON-able."""
         return {
             "held_out": self.pieces,
             "levels": list(LEVELS),
@@ -183,10 +181,10 @@ class HalfWidths:
                 np.array(one["half_width"], dtype=np.float64) for one in stored["outputs"]
             )
             pieces, levels = int(stored["held_out"]), tuple(stored["levels"])
-            between = tuple(float(one) for one in stored.get("between", ()))
+            between = tuple(float(one) for one in stored["between"])
         except (KeyError, TypeError, ValueError) as error:
             raise ModelError(f"'interval' cannot be read: {error}") from None
-        fits = len(knots) == outputs and levels == LEVELS and len(between) in (0, outputs)
+        fits = len(knots) == outputs and levels == LEVELS and len(between) == outputs
         fits = fits and bool(np.isfinite(between).all())
         for x, wide in zip(knots, widths, strict=True):
             fits &= x.ndim == 1 and len(x) > 0 and wide.shape == (len(LEVELS), len(x))

@@ -149,7 +149,6 @@ class ResponseFromSteady:
 
     @property
     def output_names(self) -> Sequence[str]:
-        """The output alone."""
         return (self.output,)
 
     @property
@@ -179,7 +178,6 @@ class ResponseFromSteady:
         return found
 
     def simulate(self, values: Mapping[str, complex], u: FloatArray) -> NDArray[Any]:
-        """Output (time, 1)."""
         y, _ = respond(u[:, 0], u[:, 1:] @ self.logs(values), self.dt_s)
         return y[:, None]
 
@@ -208,7 +206,6 @@ class StateSpace:
 
     @property
     def order(self) -> int:
-        """Number of states."""
         return len(self.A)
 
     @property
@@ -219,7 +216,6 @@ class StateSpace:
 
     @property
     def stable(self) -> bool:
-        """Whether all poles lie inside the unit circle."""
         return bool(np.all(np.abs(self.poles) < 1.0))
 
     @property
@@ -256,12 +252,10 @@ class StateSpace:
         return np.array(found)
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-able."""
         return {k: getattr(self, k).tolist() for k in "ABCD"} | {"dt_s": self.dt_s}
 
     @classmethod
     def from_dict(cls, stored: dict[str, Any]) -> StateSpace:
-        """Inverse of `to_dict`."""
         A, B, C, D = (np.array(stored[k], dtype=np.float64) for k in "ABCD")
         return cls(A, B, C, D, float(stored["dt_s"]))
 
@@ -295,7 +289,7 @@ def from_coordinates(
     if form == "canonical":
         return _observer(head, body, D, dt_s)
     tanh, parts, at = np.tanh(head), [], 0
-    for size in _sizes(n):
+    for size in [2] * (n // 2) + [1] * (n % 2):  # slowest poles first
         denominator = _denominator(tanh[at : at + size])
         markov = _markov_of_section(denominator, body[at : at + size])
         parts.append(_observer(denominator, markov, np.zeros((p, m)), dt_s))
@@ -357,11 +351,6 @@ def _output_coordinates(model: StateSpace) -> FloatArray:
         )
     same = model.transformed(np.asarray(np.linalg.inv(model.C), dtype=np.float64))
     return np.concatenate([same.A.ravel(), same.B.ravel()])
-
-
-def _sizes(n: int) -> list[int]:
-    """Poles per section, slowest first; an odd order ends with a single pole."""
-    return [2] * (n // 2) + [1] * (n % 2)
 
 
 def _sections(poles: ComplexArray) -> list[FloatArray]:

@@ -1,20 +1,16 @@
 """Kill a writer at any of its file events, in this process, as SIGKILL or a power cut would.
 
 Python's audit hook reports every opening for writing, renaming, making and removing below a folder;
-`fsync` and the exchange of two names are reported besides. From the event `kill_at` on, each
-raises `Killed`, which no command catches, so that nothing that the writer still tries (clean-up
-included) changes the disk. Its process number is one that no process has.
+`fsync` is reported besides. From the event `kill_at` on, each raises `Killed`, which no command
+catches, so that nothing that the writer still tries (clean-up included) changes the disk.
 """
 
 import os
 import sys
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from unittest import mock
 
-from narxcal.support import files
-
-DEAD = 2**22 + 1  # above the largest process number of Linux
 _WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC
 _CHANGING = {
     "os.rename", "os.mkdir", "os.remove", "os.rmdir", "os.symlink", "os.link", "os.truncate",
@@ -75,30 +71,22 @@ sys.addaudithook(_hook)
 
 
 @contextmanager
-def watched(disk, *, exchange=True):
-    """Report the events of the block to `disk`; without `exchange` the system offers none."""
-    own = files.exchange
+def watched(disk):
+    """Report the events of the block to `disk`."""
 
     def flush(descriptor):
         disk.event("fsync", disk.folder)
         disk.flushed(descriptor)  # the disk itself need not wait for it
 
-    def swap(first, second):
-        if not exchange:
-            return False
-        disk.event("exchange", str(second))
-        return own(first, second)
-
-    with ExitStack() as stack:
-        stack.enter_context(mock.patch("os.fsync", flush))
-        stack.enter_context(mock.patch("os.getpid", return_value=DEAD))
-        stack.enter_context(mock.patch.object(files, "exchange", swap))
+    with mock.patch("os.fsync", flush):
         _watching.append(disk)
-        stack.callback(_watching.clear)
-        yield disk
+        try:
+            yield disk
+        finally:
+            _watching.clear()
 
 
-def killed_everywhere(folder, write, *, exchange=True, power=False):
+def killed_everywhere(folder, write, *, power=False):
     """Run `write` killed at event 0, then at 1, and so on, until it ends by itself.
 
     Yields the number of the event after each kill (with `power`, after a power cut), and at last
@@ -108,7 +96,7 @@ def killed_everywhere(folder, write, *, exchange=True, power=False):
     while True:
         disk = Disk(folder, kill_at)
         try:
-            with watched(disk, exchange=exchange):
+            with watched(disk):
                 write()
         except Killed:
             if power:

@@ -227,7 +227,7 @@ class Narx(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # likewise
 
     def _fitted(self) -> FitResult | Choice:
         if not hasattr(self, "result_"):
-            raise _not_trained()
+            raise NotTrainedError("the NARX network is not trained yet", hint="Call fit first")
         return self.result_
 
     def _choice(self) -> Choice:
@@ -467,10 +467,6 @@ def _is_auto(structure: object) -> bool:
 
 def _is_number(value: object) -> TypeGuard[Any]:
     return isinstance(value, Real) and not isinstance(value, bool)
-
-
-def _not_trained() -> NotTrainedError:
-    return NotTrainedError("the NARX network is not trained yet", hint="Call fit first")
 
 
 def _dumped(section: Structure | TrainConfig) -> dict[str, Any] | str | None:

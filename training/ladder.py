@@ -48,11 +48,11 @@ from training.search import (
     MEAN,
     SHORTEST,
     WINDOW,
+    Budget,
     Form,
     RecordFold,
     Search,
     Tried,
-    Work,
     beats,
     by_piece,
     record_folds,
@@ -109,7 +109,6 @@ class Choice:
         result: Mapping[str, Any],
         arrays: Mapping[str, FloatArray],
     ) -> Self:
-        """Inverse of `to_arrays`."""
         after, errors, piece = (np.asarray(arrays[f"{_INTERVALS}{name}"]) for name in _PARTS)
         own = {name: array for name, array in arrays.items() if not name.startswith(_INTERVALS)}
         return cls(
@@ -150,7 +149,7 @@ def choose(
         )
     # More threads than one would only wait for each other, which is processor time, too.
     with threadpool_limits(limits=1):
-        work = Work(limits.time_limit_s)
+        work = Budget(limits.time_limit_s)
         folds = divide(long, work.budget, validation)
         search = Search(long, folds, work, limits.seed, progress)
         if not folds:

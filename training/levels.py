@@ -78,7 +78,6 @@ class LevelCheck:
         return self.allowed_lag_s is not None and abs(self.lag_s) > self.allowed_lag_s
 
     def row(self) -> dict[str, Any]:
-        """One entry of `levels` in JSON."""
         return {**asdict(self), "ok": self.ok}
 
 
@@ -127,7 +126,6 @@ def _allowed(seen: FloatArray, prior: float, outputs: int) -> float | None:
 
 
 def words(check: LevelCheck) -> str:
-    """Size of a level error with its unit."""
     return f"{check.channel} {check.error:+.3g} {described(check.channel).unit}"
 
 

@@ -196,7 +196,6 @@ class FitResult:
         result: Mapping[str, Any],
         arrays: Mapping[str, FloatArray],
     ) -> Self:
-        """Inverse of `to_arrays`."""
         return cls(
             model=NarxModel.from_arrays(network, arrays),
             status=result["status"],
@@ -226,7 +225,6 @@ class Material:
     least_scale: FloatArray | float = 0.0
 
     def of_output(self, k: int) -> Material:
-        """The same with output `k` alone."""
         records, validation, rest = (
             [Record(each.u, each.y[:, k : k + 1], each.name, each.weight) for each in part]
             for part in (self.records, self.validation, self.rest)

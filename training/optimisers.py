@@ -19,7 +19,6 @@ Late = Callable[[], bool]  # whether a descent has to end and give what it has f
 
 
 def unlimited() -> bool:
-    """Without a limit of time."""
     return False
 
 
@@ -35,8 +34,8 @@ class Equations:
 class Problem(Protocol):
     """What the optimiser needs."""
 
-    def loss(self, theta: FloatArray) -> float: ...  # noqa: D102
-    def normal_equations(self, theta: FloatArray) -> Equations: ...  # noqa: D102
+    def loss(self, theta: FloatArray) -> float: ...
+    def normal_equations(self, theta: FloatArray) -> Equations: ...
 
 
 @dataclass(frozen=True)
@@ -68,7 +67,7 @@ class Damping:
 class Proposal(Protocol):
     """Give the step that solves the damped equations from (gradient, hessian) at theta."""
 
-    def __call__(  # noqa: D102
+    def __call__(
         self, theta: FloatArray, slopes: tuple[FloatArray, FloatArray], damping: float
     ) -> FloatArray: ...
 
@@ -156,7 +155,7 @@ def stopped(
 class GradientProblem(Protocol):
     """What Adam needs."""
 
-    def gradient(self, theta: FloatArray) -> tuple[float, FloatArray]: ...  # noqa: D102
+    def gradient(self, theta: FloatArray) -> tuple[float, FloatArray]: ...
 
 
 @dataclass(frozen=True)
@@ -169,7 +168,6 @@ class Moments:
 
     @classmethod
     def start(cls, size: int) -> Moments:
-        """Before the first step."""
         return cls(np.zeros(size), np.zeros(size), 0)
 
 

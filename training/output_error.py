@@ -57,10 +57,10 @@ class Model(Protocol):
     """
 
     @property
-    def parameters(self) -> Sequence[Parameter]: ...  # noqa: D102
+    def parameters(self) -> Sequence[Parameter]: ...
     @property
-    def output_names(self) -> Sequence[str]: ...  # noqa: D102
-    def simulate(self, values: Mapping[str, complex], u: FloatArray) -> NDArray[Any]: ...  # noqa: D102
+    def output_names(self) -> Sequence[str]: ...
+    def simulate(self, values: Mapping[str, complex], u: FloatArray) -> NDArray[Any]: ...
 
 
 @dataclass(frozen=True, kw_only=True)

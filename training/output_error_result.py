@@ -61,7 +61,6 @@ class OutputErrorFit:
         return self.sd if self.white else self.sd_coloured
 
     def interval(self, name: str, level: float = 0.9) -> tuple[float, float]:
-        """Confidence interval of one free parameter."""
         k = self.names.index(name)
         half = float(norm.ppf(0.5 + level / 2.0) * self.sd_used[k])
         return float(self.values[k]) - half, float(self.values[k]) + half

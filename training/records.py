@@ -217,7 +217,6 @@ class LagSamples:
     measured: FloatArray
 
     def rows(self, part: slice) -> LagSamples:
-        """Some of the samples."""
         return LagSamples(self.inputs[part], self.ss[part], self.measured[part])
 
 

@@ -77,7 +77,6 @@ class Signals:
         return replace(self, values={**self.values, **values})
 
     def part(self, rows: slice) -> Signals:
-        """Some of the blocks."""
         values = {name: each[rows] for name, each in self.values.items()}
         return Signals(self.time_s[rows], values, self.step_s)
 
@@ -169,7 +168,6 @@ class Bank:
     priors: Priors = PRIORS
 
     def to_json(self) -> dict[str, Any]:
-        """For the bundle's document."""
         return {name: getattr(self, name) for name in self._stored()}
 
     @classmethod
@@ -382,7 +380,6 @@ def _cells(air: Corrected, z: FloatArray) -> IntArray:
 
 
 def codes_of(cells: IntArray) -> IntArray:
-    """One number for each cell."""
     return np.asarray((cells + 1500) @ _CODE)
 
 

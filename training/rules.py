@@ -16,7 +16,6 @@ from narxcal.support.errors import ConfigError
 from training.response import Transient
 
 RulesName = Literal["paper", "part60", "part60-2016", "cs-fstd", "icao9625"]
-FORMER = {"icao": "icao9625"}  # names in configurations of runs that were stored earlier
 DataSource = Literal["flight", "engineering"]
 # Of the tolerance for flight-test data (14 CFR Part 60 App. A Att. 2 section 9, edition 1-1-19).
 TOLERANCE_SHARE: dict[DataSource, float] = {"flight": 1.0, "engineering": 0.4}
@@ -37,7 +36,6 @@ class Tolerance:
         return max(self.share * abs(flight_s), self.floor_s)
 
     def scaled(self, share: float) -> Tolerance:
-        """Return that share of it."""
         return Tolerance(self.share * share, self.floor_s * share)
 
     def __str__(self) -> str:
@@ -212,7 +210,6 @@ RULES: dict[str, Rules] = {one.name: one for one in _SETS}
 
 def rules(name: str) -> Rules:
     """Look a rule set up; raises `ConfigError` naming the known ones."""
-    name = FORMER.get(name, name)
     if name not in RULES:
         raise ConfigError(f"unknown rule set '{name}'", hint=f"Known rule sets: {', '.join(RULES)}")
     return RULES[name]

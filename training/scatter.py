@@ -94,11 +94,8 @@ class ScatterPrior:
     def _evidence(self, seen: Mapping[str, tuple[float, Sequence[float]]]) -> float:
         over = [self._log_over_channel(*each) for each in seen.values() if len(each[1]) > 1]
         total = np.sum([np.zeros(len(_GRID)), *over], axis=0)
-        return float(logsumexp(total - 0.5 * (_GRID / self.recorders) ** 2) - self._log_recorders)
-
-    @property
-    def _log_recorders(self) -> float:
-        return float(logsumexp(-0.5 * (_GRID / self.recorders) ** 2))
+        prior = -0.5 * (_GRID / self.recorders) ** 2
+        return float(logsumexp(total + prior) - logsumexp(prior))
 
     @cached_property
     def _between(self) -> FloatArray:

@@ -142,7 +142,7 @@ def least_squares_cost(samples: float, width: int) -> float:
     return samples * width**2 / _LEAST_SQUARES
 
 
-class Work:
+class Budget:
     """Nominal microseconds spent of a budget, within a limit of processor time.
 
     `cut` is whether the clock shortened anything.
@@ -163,7 +163,6 @@ class Work:
         return min(by_count, in_time)
 
     def spend(self, units: float) -> None:
-        """Count work that is done."""
         self.spent += units
 
     def late(self) -> bool:
@@ -187,7 +186,7 @@ class Search:
 
     records: list[Record]
     folds: list[RecordFold]
-    work: Work
+    work: Budget
     seed: int
     progress: Progress
     tried: list[Tried] = field(default_factory=list)
@@ -203,13 +202,11 @@ class Search:
 
     @property
     def inputs(self) -> int:
-        """Number of inputs."""
         count: int = self.records[0].u.shape[1]
         return count
 
     @property
     def outputs(self) -> int:
-        """Number of outputs."""
         count: int = self.records[0].y.shape[1]
         return count
 
@@ -260,7 +257,6 @@ class Search:
         self.progress(round(100.0 * share), 100, what)
 
     def show(self) -> None:
-        """Show how far the search is."""
         self.watch(min(0.1 + 0.8 * self.work.spent / self.work.budget, 0.9), "choosing")
 
 

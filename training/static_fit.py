@@ -159,7 +159,6 @@ class _Problem:
 
     @property
     def box(self) -> tuple[FloatArray, FloatArray]:
-        """Bounds of the free parameters."""
         low, high = self.model.bounds
         return low[self.free], high[self.free]
 

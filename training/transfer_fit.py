@@ -97,11 +97,9 @@ class Scale:
         return cls(start, end)
 
     def scaled(self, ratio: FloatArray) -> FloatArray:
-        """Ratio to y."""
         return np.asarray((ratio - self.start) / (self.end - self.start))
 
     def ratio(self, y: FloatArray) -> FloatArray:
-        """Inverse: y to the ratio."""
         return np.asarray(self.start + (self.end - self.start) * y)
 
 

@@ -17,7 +17,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from data_prep.events import Event, Speed, find_events
 from data_prep.log import Log
@@ -27,7 +27,6 @@ from narxcal.support.errors import ConfigError, DataError
 from training.config import RunConfig
 from training.response import Reading, Transient, TransientConfig, measure_transient
 from training.rules import (
-    FORMER,
     DataSource,
     Rules,
     RulesName,
@@ -64,11 +63,6 @@ class TransientsConfig(Reading):
     speeds: tuple[Speed, ...] = ("fast", "slow", "small")
     data_source: DataSource = "flight"
     least_response: Mapping[str, float] = Field(default_factory=dict)
-
-    @field_validator("rules", mode="before")
-    @classmethod
-    def _renamed(cls, name: Any) -> Any:
-        return FORMER.get(name, name) if isinstance(name, str) else name
 
     @property
     def rule_set(self) -> Rules:
@@ -177,7 +171,6 @@ class AssessedEvent:
         return f"{self.event.speed} {('push', 'pull')[self.event.label]}"
 
     def of(self, channel: str) -> Assessment | None:
-        """Its assessment on one channel."""
         return next((one for one in self.assessments if one.channel == channel), None)
 
 
@@ -311,7 +304,6 @@ class Tally:
         return 100.0 * self.passed / self.assessed if self.assessed else None
 
     def row(self) -> dict[str, Any]:
-        """Return the tally as JSON-able values."""
         return {**asdict(self), "passed_pct": self.passed_pct}
 
 

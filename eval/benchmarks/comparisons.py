@@ -69,7 +69,6 @@ def _say(line: str) -> None:
 
 
 def main() -> None:
-    """Print a table of rates."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--tables", type=int, default=3000)
     parser.add_argument("--seed", type=int, default=0)

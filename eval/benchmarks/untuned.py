@@ -216,20 +216,15 @@ def judged(one: UntunedSet, folder: Path) -> Evaluation:
 def rows_of(group: str, found: Evaluation) -> Iterator[Row]:
     """Error of each channel, and the share of response times in tolerance."""
     for name, pooled in found.pooled.items():
-        best = min(pooled.first_order_rmse, pooled.arx_rmse, key=_known)
+        best = float(np.fmin(pooled.first_order_rmse, pooled.arx_rmse))
         unit = channel(name).unit
         yield Row(group, f"RMSE {name}", pooled.rmse, unit, best, "at most", _SOURCE)
-    baselines = [_passed(found, name) for name in (FIRST_ORDER, ARX)]
+    baselines = [
+        sum(log.baselines[name].passed for log in found.logs if name in log.baselines)
+        for name in (FIRST_ORDER, ARX)
+    ]
     counts = found.tally
     passed = math.nan if counts.passed_pct is None else counts.passed_pct
     best = max(baselines) * 100.0 / counts.assessed if counts.assessed else math.nan
     note = f"{counts.passed} of {counts.assessed}; best baseline {max(baselines)}"
     yield Row(group, "Ti and Tt passed", passed, "%", best, "at least", _SOURCE, note)
-
-
-def _passed(found: Evaluation, baseline: str) -> int:
-    return sum(log.baselines[baseline].passed for log in found.logs if baseline in log.baselines)
-
-
-def _known(value: float) -> float:
-    return math.inf if math.isnan(value) else value

@@ -154,13 +154,11 @@ class _Axes:
     bottom: float
 
     def x(self, time: float | AnyFloats) -> FloatArray:
-        """Return where a time in seconds lies across the panel."""
         first, last = self.time
         share = (np.asarray(time, dtype=float) - first) / (last - first)
         return np.asarray(_LEFT + share * (_RIGHT - _LEFT))
 
     def y(self, value: float | FloatArray) -> FloatArray:
-        """Return how far down a value lies."""
         low, high = self.value
         share = (np.asarray(value, dtype=float) - low) / (high - low)
         return np.asarray(self.bottom - share * (self.bottom - self.top))

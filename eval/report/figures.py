@@ -231,13 +231,10 @@ def _strip(axes: Axes, schemes: Mapping[str, Sequence[FoldResult]], measure: Mea
     if measure.limit is not None:
         axes.axhline(measure.limit, color=style.BAD, lw=1.0, ls=":")
     axes.set_ylim(bottom=0.0)
-    axes.set_xticks(range(1, len(kept) + 1), [_short(name) for name in kept])
+    short = ["\n".join(textwrap.wrap(name, 16)[:2]) for name in kept]
+    axes.set_xticks(range(1, len(kept) + 1), short)
     axes.set_ylabel(measure.title)
     style.dress(axes, size=7.5, grid="y")
-
-
-def _short(name: str) -> str:
-    return "\n".join(textwrap.wrap(name, 16)[:2])
 
 
 def noise(sweep: NoiseSweep) -> Picture:
@@ -318,7 +315,6 @@ def free_runs(
 
 
 def most_eventful(found: Comparison) -> Recording:
-    """The log with most events, the first of several."""
     return max(found.recordings, key=lambda each: len(each.events))
 
 

@@ -125,11 +125,11 @@ def of_event(view: LogView, one: AssessedEvent) -> Markup:
 def of_runs(found: Comparison) -> Markup:
     """Chart of the free runs of all models over one log, as measured on top."""
     one = most_eventful(found)
-    panels = []
+    panels, count = [], len(style.CYCLE)
     for k, name in enumerate(one.channels):
         runs = {row.run: one.outputs[row.run][:, k] for row in found.rows}
         lines = [
-            Line(run, values, style.CYCLE[n % len(style.CYCLE)], 1.2, _dash(n))
+            Line(run, values, style.CYCLE[n % count], 1.2, _DASHES[n // count % len(_DASHES)])
             for n, (run, values) in enumerate(runs.items())
             if np.isfinite(values).any()
         ]
@@ -140,10 +140,6 @@ def of_runs(found: Comparison) -> Markup:
         for event in one.events
     ]
     return html(Chart(one.time_s, panels, marks))
-
-
-def _dash(number: int) -> tuple[int, ...]:
-    return _DASHES[number // len(style.CYCLE) % len(_DASHES)]
 
 
 def _driver(values: FloatArray, name: str, shades: Sequence[Shade]) -> Panel:
@@ -335,7 +331,6 @@ def licence() -> Markup:
 
 @cache
 def looks() -> Markup:
-    """The style sheet of uPlot."""
     return Markup(_shipped("vendor/uPlot.min.css"))  # noqa: S704 - shipped
 
 

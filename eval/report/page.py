@@ -19,7 +19,7 @@ from eval.report import event_figures, figures, live, tables
 from eval.report.style import unit
 from eval.report.view import LogView
 from narxcal.channels import symbol
-from narxcal.support.files import atomic_write_text, versions
+from narxcal.support.files import versions
 from training.transients import AssessedEvent, tally
 
 if TYPE_CHECKING:
@@ -30,7 +30,6 @@ WORST_EVENTS = 3
 
 
 def now() -> str:
-    """Time stamp of a page."""
     return datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
 
 
@@ -59,7 +58,6 @@ class RunHeader:
 
 
 def evaluate_page(header: RunHeader, views: Sequence[LogView], outcome: Outcome) -> str:
-    """Build the page of `evaluate` and `demo`."""
     assessments = [each for view in views for each in view.assessments]
     return render(
         "evaluate.html.j2",
@@ -105,7 +103,6 @@ class PreparedLog:
 
     @property
     def drawn(self) -> bool:
-        """Whether it has pictures."""
         return "overlay" in self.parts
 
     def part(self, name: str) -> Markup:
@@ -137,11 +134,6 @@ def crossval_page(header: RunHeader, found: CrossValidation) -> str:
 def compare_page(header: RunHeader, found: Comparison) -> str:
     """Build the page of `compare`: one table, one figure, the significant differences."""
     return render("compare.html.j2", header=header, found=found)
-
-
-def write_page(path: str | os.PathLike[str], html: str) -> None:
-    """Write the page whole or not at all."""
-    atomic_write_text(path, html)
 
 
 def worst_events(view: LogView) -> list[AssessedEvent]:
@@ -196,5 +188,4 @@ def _environment() -> jinja2.Environment:
 
 
 def render(template: str, **content: object) -> str:
-    """Fill a template of this package."""
     return _environment().get_template(template).render(**content)

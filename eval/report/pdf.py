@@ -65,7 +65,6 @@ class Page:
         return BOTTOM - self.y
 
     def number(self, number: int, total: int) -> None:
-        """Write the page's number."""
         text = f"Page {number} of {total}"
         self.text((RIGHT, 284.0), text, size=SMALL, align="right", color=QUIET)
 
@@ -104,7 +103,6 @@ class Page:
         )  # fmt: skip
 
     def heading(self, text: str, *, size: float = 10.0) -> None:
-        """Write a heading and move on."""
         self.y += 2.0
         self.text((LEFT, self.y), text, size=size, weight="bold")
         self.y += size * _POINT_MM * _LEADING + 1.2
@@ -219,7 +217,6 @@ def wrapped(text: str, width: float, size: float) -> list[str]:
 
 @lru_cache(maxsize=20_000)
 def width_mm(text: str, size: float) -> float:
-    """Width of a line in mm."""
     if not text:
         return 0.0
     prop = FontProperties(family=_FAMILY, size=size)

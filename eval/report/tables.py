@@ -226,7 +226,6 @@ class Measure:
 
     @property
     def title(self) -> str:
-        """The label with its unit."""
         return f"{self.label} [{self.unit}]" if self.unit else self.label
 
 
@@ -457,28 +456,23 @@ def _times(check: TimeCheck | None, flight_s: float, model_s: float) -> Row:
 
 def comparison(found: Comparison) -> Table:
     """Every figure of every row; the least RMSE of a channel is marked."""
-    least = {
-        name: min((row.channels[name]["rmse"] for row in found.rows if name in row.channels),
-                  default=math.nan)
-        for name in found.channels
-    }  # fmt: skip
     head = ("run", "method", *(f"{name} RMSE" for name in found.channels),
             *(f"{name} [%]" for name in found.channels), "Ti, Tt passed", "parameters", "AIC",
             "fit [s]", "sample [us]", "in 90 % [%]")  # fmt: skip
     return Table(
         "Free run on the same rows; [%] is RMSE over the standard deviation of the channel",
-        head, tuple(_compared_row(row, found.channels, least) for row in found.rows),
+        head, tuple(_compared_row(row, found.least) for row in found.rows),
     )  # fmt: skip
 
 
-def _compared_row(row_: ComparedRow, channels: Sequence[str], least: Mapping[str, float]) -> Row:
-    found = [row_.channels.get(name, {}) for name in channels]
-    errors = zip(channels, (one.get("rmse") for one in found), strict=True)
+def _compared_row(row_: ComparedRow, least: Mapping[str, float]) -> Row:
+    found = [row_.channels.get(name, {}) for name in least]
+    errors = zip(least.values(), (one.get("rmse") for one in found), strict=True)
     tally_ = row_.ti_tt
     return row(
         row_.run,
         row_.method,
-        *(figure(error, "best" if error == least[name] else "") for name, error in errors),
+        *(figure(error, "best" if error == best else "") for best, error in errors),
         *(None if not one else 100.0 * one["nrmse"] for one in found),
         None if tally_ is None else plain(f"{tally_.passed} of {tally_.assessed}"),
         row_.parameters,

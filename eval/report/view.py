@@ -66,12 +66,10 @@ class LogView:
 
     @property
     def name(self) -> str:
-        """The log's name."""
         return self.log.name
 
     @property
     def assessments(self) -> list[Assessment]:
-        """Those of all events."""
         return [each for event in self.events for each in event.assessments]
 
     @property
@@ -83,7 +81,6 @@ class LogView:
         return float(self.log.time_s[min(run.scored_from, len(self.log) - 1)])
 
     def curves(self, rows: slice = slice(None)) -> list[Curves]:
-        """Every output over `rows`."""
         run = None if self.evaluation is None else self.evaluation.run
         none = (None, None, None)
         modelled = none if run is None else (run.model, run.steady, run.half_width)
@@ -154,14 +151,14 @@ class Viewed(Protocol):
     """A result that shows logs."""
 
     @property
-    def views(self) -> Sequence[LogView]: ...  # noqa: D102
+    def views(self) -> Sequence[LogView]: ...
 
 
 class Run(Protocol):
     """A result that holds a model."""
 
     @property
-    def bundle(self) -> Bundle: ...  # noqa: D102
+    def bundle(self) -> Bundle: ...
 
 
 Data: TypeAlias = Viewed | LogView | Log | RecordLike

@@ -207,7 +207,6 @@ class Engines:
 
     @cached_property
     def designed(self) -> VirtualEngine:
-        """Engine of the preset."""
         return VirtualEngine(self.name)
 
     @cached_property
@@ -218,7 +217,6 @@ class Engines:
 
     @property
     def bypass_ratio(self) -> float:
-        """Bypass ratio of the design."""
         return float(self.designed.preset.point.bypass_ratio)
 
 
@@ -254,7 +252,6 @@ class RegionStudy:
     ]  # of the correction, see `correction_degrees`
 
     def row(self, output: str, model: str) -> StaticRow:
-        """Row of a model by its name."""
         return next(r for r in self.rows if (r.output, r.model) == (output, model))
 
     def search(self, model: str, estimator: str) -> StaticRow | None:

@@ -161,7 +161,8 @@ def _orders(rows: Sequence[DynamicRow], tables: Sequence[Tables]) -> Iterator[Cl
     yield _claim("C13_free", one / free)
     yield _claim("C13_modal", one / modal, one=one, modal=modal, free=free)
     pair = (_WIDE, "+".join(OUTPUTS)), ("1/O O/4 (canonical)", "FN_kN")
-    wide, narrow = np.mean([[_variation(t[key][..., 0]) for key in pair] for t in tables], axis=0)
+    entries = [[t[key][..., 0] for key in pair] for t in tables]
+    wide, narrow = np.mean([[np.std(a) / abs(np.mean(a)) for a in each] for each in entries], 0)
     yield _claim("C13_A11", float(wide / narrow))
 
 
@@ -199,10 +200,6 @@ def _all(rows: Sequence[DynamicRow], kind: str, model: str, value: str = "mean_p
     """Figure of one model for every output, in the order of OUTPUTS."""
     own = {row.output: row for row in rows if (row.kind, row.model) == (kind, model)}
     return np.array([getattr(own[name], value) for name in OUTPUTS])
-
-
-def _variation(values: FloatArray) -> float:
-    return float(np.std(values) / abs(np.mean(values)))
 
 
 def _latest(steps: Sequence[Scaled], name: str, time: Callable[[FloatArray], float]) -> float:

@@ -162,7 +162,6 @@ class Reproduction:
         return outcome_of(self.studies)
 
     def document(self) -> dict[str, Any]:
-        """`reproduce.json`."""
         data, said = self.data, missed(self.studies)
         training = self.bundle.record.training
         return {

@@ -16,7 +16,7 @@ from data_prep.events import PULL, PUSH
 from data_prep.log import Log
 from data_prep.ranking import STRONG, flight_table, is_strong
 from data_prep.smooth import cutoff_hz, frequency_response, moving_average
-from eval.preparation import WINDOWS, LogReport
+from eval.preparation import WINDOWS
 from eval.report import figures, tables
 from eval.report.style import Picture, unit, with_unit
 from eval.report.tables import Cell, Table, figure
@@ -148,12 +148,14 @@ def segments(data: DataSets) -> Study:
         tables=[_segment_table(data)],
         pictures=_firsts(data),
         sheets=[one.view() for one in data.prepared],
-        results={"pushes": pushes, "data_sets": [_row(data, one) for one in data.prepared]},
+        results={
+            "pushes": pushes,
+            "data_sets": [
+                {"data_set": data.number(one.log.name), "log": one.log.name, **one.counts()}
+                for one in data.prepared
+            ],
+        },
     )
-
-
-def _row(data: DataSets, one: LogReport) -> dict[str, Any]:
-    return {"data_set": data.number(one.log.name), "log": one.log.name, **one.counts()}
 
 
 def _segment_table(data: DataSets) -> Table:

@@ -19,7 +19,7 @@ from eval.crossval import spread as spread_of
 from eval.log_evaluation import LogEvaluation, assess_log
 from eval.report import event_figures, figures, tables
 from eval.report.page import worst_events
-from eval.report.style import NOTHING, Picture, unit
+from eval.report.style import NOTHING, unit
 from eval.report.tables import Cell, Table, figure
 from eval.report.view import LogView, view_of
 from eval.reproduce.data import PHASES, SPEEDS, DataSets, Effort, phase_of, pieces, within
@@ -122,7 +122,7 @@ def accuracy(
         "movements, are in.",
         claims=error_claims(pooled, classes),
         tables=[class_table(pooled, classes, PAPER_PCT)],
-        pictures=[figures.overlay(view) for view in _views(data, bundle, found[:1])],
+        pictures=[figures.overlay(_first_view(data, bundle, found))],
         results={
             "max_rel_pct": pooled,
             "rmse": {name: one.rmse for name, one in scores.items()},
@@ -184,9 +184,8 @@ def _percent(value: float, bound: float) -> Cell:
     return figure(value, "bad" if value >= bound else "good")
 
 
-def _views(data: DataSets, bundle: Bundle, found: Sequence[LogEvaluation]) -> list[LogView]:
-    inputs, driver = bundle.calibration.input_names, data.config.events.driver
-    return [view_of(one, driver, inputs) for one in found]
+def _first_view(data: DataSets, bundle: Bundle, found: Sequence[LogEvaluation]) -> LogView:
+    return view_of(found[0], data.config.events.driver, bundle.calibration.input_names)
 
 
 def response_times(
@@ -196,6 +195,7 @@ def response_times(
     groups = groups_of(data, events)
     every = figures_of(assessments_of(events))
     rows = [{"group": name, **figures_of(group)} for name, group in groups.items()]
+    view = _first_view(data, bundle, found)
     largest = [_largest_claim(every, name) for name in ("Ti", "Tt")]
     return Study(
         key="response_times",
@@ -207,7 +207,9 @@ def response_times(
         "sampling interval of 1/32 s can hardly be read to 5 %.",
         claims=[passed_claim(every), *largest],
         tables=[times_table(rows)],
-        pictures=_nearest(_views(data, bundle, found[:1])),
+        pictures=[  # figure 12: the event nearest to its tolerance
+            event_figures.large(view, event) for event in worst_events(view)[:1]
+        ],
         results={"groups": rows, "all": every},
     )
 
@@ -282,11 +284,6 @@ def _passed(row: dict[str, Any]) -> Cell:
         return Cell(NOTHING, "none", number=True)
     whole = row["passed"] == row["assessed"]
     return Cell(str(row["passed"]), "good" if whole else "bad", number=True)
-
-
-def _nearest(views: Sequence[LogView]) -> list[Picture]:
-    """The event nearest to its tolerance in the first test data set, as figure 12."""
-    return [event_figures.large(view, event) for view in views for event in worst_events(view)[:1]]
 
 
 def splits(data: DataSets, effort: Effort, progress: Progress = silent) -> Study:

@@ -170,7 +170,8 @@ def trial(seed: int) -> Trial:
     found = {engine: identify(records, sigma) for engine, records in flown.items()}
     model = EngineAndControl(SAMPLING_S)
     *used, unused = (one.of(model) for one in flown["left"])
-    start = Plan(start=_inside(found["left"].control), sigma=sigma)
+    left = found["left"].control
+    start = Plan(start=dict(zip(left.names, left.values.tolist(), strict=True)), sigma=sigma)
     rms = prediction_error(model, fit(model, used, start).parameters(), unused)
     return Trial(
         {engine: _estimates(one, coloured=False) for engine, one in found.items()},
@@ -178,10 +179,6 @@ def trial(seed: int) -> Trial:
         {name: one.combined for name, one in repeatability(found["left"].engine).items()},
         max(rms[name] / sigma[name] for name in rms),
     )
-
-
-def _inside(found: OutputErrorFit) -> dict[str, float]:
-    return dict(zip(found.names, found.values.tolist(), strict=True))
 
 
 def _estimates(found: Identification, *, coloured: bool) -> dict[str, tuple[float, float]]:

@@ -12,7 +12,7 @@ from typing import Any
 from eval.outcome import Outcome
 from eval.report.page import RunHeader, render
 from eval.report.style import NOTHING, Picture, number
-from eval.report.tables import Cell, Table, figure
+from eval.report.tables import Cell, Table, row
 from eval.report.view import LogView
 from narxcal.support.files import finite
 
@@ -54,7 +54,6 @@ class Claim:
 
     @property
     def ours(self) -> str:
-        """The value in words."""
         whole = math.isfinite(self.value) and float(self.value).is_integer()
         text = f"{self.value:.0f}" if whole else number(self.value)
         return f"{text} {self.unit}" if self.unit and text != NOTHING else text
@@ -96,7 +95,6 @@ class Study:
     results: Mapping[str, Any] = field(default_factory=dict)
 
     def row(self) -> dict[str, Any]:
-        """One entry of `studies`."""
         return {
             "study": self.key,
             "title": self.title,
@@ -123,16 +121,7 @@ def or_nan(value: float | None) -> float:
 
 def table_of(caption: str, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
     """Rows of texts, counts, figures or cells as they are; the first value of a row is its head."""
-    lines = [(Cell(str(first), "head"), *map(_cell, rest)) for first, *rest in rows]
-    return Table(caption, tuple(head), tuple(lines))
-
-
-def _cell(value: Cell | str | float | None) -> Cell:
-    if isinstance(value, Cell):
-        return value
-    if isinstance(value, str | int):
-        return Cell(str(value), number=isinstance(value, int))
-    return figure(value)
+    return Table(caption, tuple(head), tuple(row(str(first), *rest) for first, *rest in rows))
 
 
 def claim_table(claims: Sequence[Claim]) -> Table:

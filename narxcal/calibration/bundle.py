@@ -27,6 +27,7 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -38,6 +39,7 @@ from safetensors.numpy import load as load_arrays
 from safetensors.numpy import save as save_arrays
 
 from narxcal.calibration.calibration import Calibration
+from narxcal.calibration.certificate import Certificate, certify
 from narxcal.calibration.identified import calibration_from_arrays
 from narxcal.calibration.run_record import RunRecord
 from narxcal.channels import described
@@ -219,6 +221,11 @@ class Bundle:
     calibration: Calibration
     record: RunRecord = field(default_factory=RunRecord, repr=False)
     sha256: str = ""
+
+    @cached_property
+    def certificate(self) -> Certificate:
+        """Whether the model settles at constant inputs, as stored or as found now."""
+        return self.record.certificate or certify(self.calibration)
 
 
 def save_bundle(folder: str | PathLike[str], bundle: Bundle, replace: bool = False) -> None:

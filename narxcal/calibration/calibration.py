@@ -55,7 +55,7 @@ class Running(Protocol):
     """
 
     @property
-    def vector(self) -> FloatArray: ...  # noqa: D102
+    def vector(self) -> FloatArray: ...
     @vector.setter
     def vector(self, values: FloatArray) -> None: ...
 
@@ -139,7 +139,7 @@ class Calibration(ABC):
                 )
         return self._with(delay=delay)
 
-    def acting(self, inputs: FloatArray) -> FloatArray:
+    def delayed_inputs(self, inputs: FloatArray) -> FloatArray:
         """Inputs (time, n_in) as they act on the engine: behind the delay, where there is one."""
         if self.delay is None:
             return inputs
@@ -147,11 +147,12 @@ class Calibration(ABC):
 
     def settled(self, inputs: ArrayLike) -> FloatArray:
         """Steady states (time, n_out) that a run over `inputs` (time, n_in) follows."""
-        return self._steady_over(self.acting(self._checked(inputs)))
+        return self._steady_over(self.delayed_inputs(self._checked(inputs)))
 
     def _steady_over(self, given: FloatArray) -> FloatArray:
         """Steady states (time, n_out) at inputs as they act."""
-        return _joined([self.steady.outputs(given[rows]) for rows in _blocks(len(given))])
+        parts = [self.steady.outputs(given[rows]) for rows in _blocks(len(given))]
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     def own_alone(self) -> Self:
         """The calibration with its own model alone in every output."""
@@ -254,7 +255,7 @@ class Calibration(ABC):
         return self.interval.at(np.abs(self.settled(inputs) - outputs), share)
 
     def _simulated(self, inputs: ArrayLike, start: ArrayLike | None) -> FloatArray:
-        given = self.acting(self._checked(inputs))
+        given = self.delayed_inputs(self._checked(inputs))
         return self.run(given, self._steady_over(given), start)
 
     def run(self, inputs: FloatArray, ss: FloatArray, start: ArrayLike | None) -> FloatArray:
@@ -304,7 +305,7 @@ class Calibration(ABC):
 
         NaN where the past is unknown: at sample 0 and after a masked one.
         """
-        given = self.acting(self._checked(inputs))
+        given = self.delayed_inputs(self._checked(inputs))
         ss = self._steady_over(given)
         known = np.asarray(by_name(measured, self.output_names), dtype=np.float64)
         outputs = self._prediction(given, ss, known)
@@ -596,10 +597,6 @@ class DynamicCalibration(Calibration):
 
 def _blocks(rows: int, first: int = 0) -> list[slice]:
     return [slice(start, min(start + _BLOCK, rows)) for start in range(first, rows, _BLOCK)]
-
-
-def _joined(parts: list[FloatArray]) -> FloatArray:
-    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def narx_features(

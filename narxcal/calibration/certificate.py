@@ -7,20 +7,19 @@
 | response of first or second order | by construction: exp(...) are times, damping, frequency |
 | steady state, first-order lag | by construction |
 | ARX, output error of `training.baselines` | by construction, with unit gain |
-| state space, output-error engine, other networks, older folders | if it is found here |
+| state space, output-error engine, other networks | if it is found here |
 
 Inputs saturate in the box `Calibration.reach`, so that what holds there holds for all inputs. At
 points of the box, its corners first, the poles of the linearised step have to lie inside the unit
 circle; and a run that steps from point to point, far ones in turn, and stays ten time constants of
 the slowest pole at each (`HOLD_S` at least), may move by at most `SWING` of an output's largest
 steady value in the last sixth of each stay. A certificate is evidence, no proof: both are samples.
-Where a model comes to rest is a second figure: ARX models of older folders and networks without an
-anchor have equilibria of their own.
+Where a model comes to rest is a second figure: networks without an anchor have equilibria of their
+own.
 """
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -36,7 +35,6 @@ from narxcal.steady.model import ALTERED, Envelope, envelope_of
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ModelError
 
-_LOG = logging.getLogger("narxcal")
 HOLD_S: Final = 300.0
 _LONGEST_S: Final = 1500.0  # ten of the longest time constant of heat
 SWING: Final = 0.002
@@ -104,7 +102,6 @@ class Certificate:
         return f"is unstable at {where}: a pole of {self.pole:.6f} per sample"
 
     def row(self) -> dict[str, Any]:
-        """As JSON-able values."""
         slowest_s = self.slowest_s
         return {
             "settled": self.settled,
@@ -118,15 +115,6 @@ class Certificate:
             "at": dict(self.at),
             "dt_s": self.dt_s,
         }
-
-
-def certificate_of(model: Calibration, stored: Certificate | None) -> Certificate:
-    """The certificate that was stored with `model`; without one it is looked for now, and said."""
-    if stored is not None:
-        return stored
-    found = certify(model)
-    _LOG.warning("trained by a version without certificates; tried now, the model %s", found.words)
-    return found
 
 
 def certify(model: Calibration) -> Certificate:

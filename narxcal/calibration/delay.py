@@ -30,7 +30,6 @@ class TransportDelay:
 
     @property
     def words(self) -> str:
-        """One line."""
         span = f"{self.low_s:.2f} to {self.high_s:.2f} s"
         return f"{', '.join(self.channels)} acts {self.delay_s:.2f} s late ({span})"
 
@@ -45,7 +44,6 @@ class TransportDelay:
         return DelayLine(self.delay_s / dt_s, columns, values[0]).advance(values)
 
     def to_json(self) -> dict[str, Any]:
-        """JSON-able."""
         return asdict(self)
 
     @classmethod

@@ -65,7 +65,6 @@ class FusedRun:
 
     @classmethod
     def empty(cls, time: int, n_out: int) -> FusedRun:
-        """Arrays to be filled."""
         shape = (time, n_out)
         return cls(
             values=np.empty(shape),
@@ -79,7 +78,6 @@ class FusedRun:
 
     @property
     def first(self) -> FusedStep:
-        """The first sample alone."""
         return FusedStep(
             value=self.values[0],
             innovation=self.innovations[0],

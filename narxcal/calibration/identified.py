@@ -90,7 +90,6 @@ class NoDynamics(Dynamics):
     words: str = "steady state without dynamics"
 
     def equilibrium(self, drive: FloatArray) -> FloatArray:
-        """No state."""
         return np.empty(0) * drive[:0]
 
     def run(
@@ -101,12 +100,10 @@ class NoDynamics(Dynamics):
         return drive, state
 
     def to_json(self) -> dict[str, Any]:
-        """Size and words."""
         return asdict(self)
 
     @classmethod
     def from_json(cls, stored: Mapping[str, Any], steady: SteadyStateModel, dt_s: float) -> Self:
-        """Inverse of `to_json`."""
         del steady, dt_s
         return cls(int(stored["size"]), str(stored["words"]))
 
@@ -129,7 +126,6 @@ class EngineDynamics(Dynamics):
 
     @property
     def size(self) -> int:
-        """Estimated parameters."""
         return len(self.free)
 
     @property
@@ -160,13 +156,11 @@ class EngineDynamics(Dynamics):
         return outputs, end
 
     def to_json(self) -> dict[str, Any]:
-        """Values and where slopes are taken."""
         own = {"values": dict(self.values), "free": list(self.free)}
         return {**own, "driver": self.driver, "span": list(self.span)}
 
     @classmethod
     def from_json(cls, stored: Mapping[str, Any], steady: SteadyStateModel, dt_s: float) -> Self:
-        """Inverse of `to_json`."""
         values = {name: float(value) for name, value in stored["values"].items()}
         order = tuple(steady.output_names.index(name) for name in STEADY_OUTPUTS)
         low, high = map(float, stored["span"])
@@ -188,12 +182,10 @@ class ResponseDynamics(Dynamics):
 
     @property
     def size(self) -> int:
-        """Parameters at all nodes."""
         return sum(one.values.size for one in self.schedules)
 
     @property
     def words(self) -> str:
-        """Orders of the responses and what they are scheduled over."""
         orders = ", ".join(str(one.values.shape[-1]) for one in self.schedules)
         return f"responses of order {orders} over {', '.join(self.conditions) or 'nothing'}"
 
@@ -203,14 +195,12 @@ class ResponseDynamics(Dynamics):
         return np.hstack([ss, inputs[:, named]])
 
     def equilibrium(self, drive: FloatArray) -> FloatArray:
-        """Steady values, then rates of zero."""
         count = len(self.schedules)
         return np.concatenate([drive[:count], np.zeros(count)])
 
     def run(
         self, state: FloatArray, drive: FloatArray, measured: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Respond output by output."""
         count = len(self.schedules)
         outputs, ends = np.empty_like(measured), np.empty((2, count))
         for k, schedule in enumerate(self.schedules):
@@ -223,13 +213,11 @@ class ResponseDynamics(Dynamics):
         return outputs, ends.ravel()
 
     def to_json(self) -> dict[str, Any]:
-        """Conditions, nodes and logarithms."""
         rows = [{"axes": one.axes, "logs": one.values.tolist()} for one in self.schedules]
         return {"conditions": list(self.conditions), "outputs": rows}
 
     @classmethod
     def from_json(cls, stored: Mapping[str, Any], steady: SteadyStateModel, dt_s: float) -> Self:
-        """Inverse of `to_json`."""
         del steady
         schedules = tuple(
             Schedule(tuple(map(tuple, one["axes"])), np.array(one["logs"], dtype=np.float64))
@@ -255,12 +243,10 @@ class StateSpaceDynamics(Dynamics):
 
     @property
     def words(self) -> str:
-        """Order and time constants."""
         shown = ", ".join(f"{tau:.3g}" for tau in self.model.time_constants_s)
         return f"state space of order {self.model.order}, time constants {shown} s"
 
     def equilibrium(self, drive: FloatArray) -> FloatArray:
-        """No deviation."""
         return np.zeros(self.model.order + len(drive))
 
     def run(
@@ -281,12 +267,10 @@ class StateSpaceDynamics(Dynamics):
         return outputs + extra, np.concatenate([x[-1], added])
 
     def to_json(self) -> dict[str, Any]:
-        """Matrices."""
         return self.model.to_dict()
 
     @classmethod
     def from_json(cls, stored: Mapping[str, Any], steady: SteadyStateModel, dt_s: float) -> Self:
-        """Inverse of `to_json`."""
         del steady, dt_s
         return cls(StateSpace.from_dict(dict(stored)))
 
@@ -305,12 +289,10 @@ class IdentifiedCalibration(Calibration):
 
     @property
     def words(self) -> str:
-        """What the dynamic model says of itself."""
         return self.dynamics.words
 
     @property
     def size(self) -> int:
-        """Parameters of the dynamic model."""
         return self.dynamics.size
 
     def _started(self, inputs: FloatArray, ss: FloatArray, deviation: FloatArray) -> Running:
@@ -329,7 +311,6 @@ class IdentifiedCalibration(Calibration):
         return np.where(unknown[:, None], np.nan, found)
 
     def to_arrays(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        """Split into JSON-able structure and named arrays, for the bundle."""
         steady, arrays = steady_to_json(self.steady)
         dynamics = {"kind": self.dynamics.kind, **self.dynamics.to_json()}
         meta = {"dt_s": self.dt_s, "steady": steady, "dynamics": dynamics}
@@ -368,7 +349,6 @@ class _Running:
 
     @property
     def vector(self) -> FloatArray:
-        """The model's state (n,)."""
         return self._state.copy()
 
     @vector.setter
@@ -376,11 +356,9 @@ class _Running:
         self._state = values.copy()
 
     def correct(self, outputs: FloatArray) -> None:
-        """Replace the newest outputs by measured ones (n_out,); NaN keeps the model's own."""
         _, self._state = self._dynamics.run(self._state, self._drive, outputs[None])
 
     def advance(self, inputs: FloatArray, ss: FloatArray) -> FloatArray:
-        """Deviations (n, n_out) at the next samples: inputs (n, n_in), steady states (n, n_out)."""
         drive = np.vstack([self._drive, self._dynamics.drive(self._steady, inputs, ss)])
         none = np.full((len(drive), ss.shape[1]), np.nan)
         outputs, self._state = self._dynamics.run(self._state, drive, none)

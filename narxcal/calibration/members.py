@@ -61,7 +61,6 @@ class Member:
         return np.abs(np.asarray(roots, dtype=np.complex128))
 
     def to_json(self) -> dict[str, Any]:
-        """JSON-able."""
         return asdict(self)
 
     @classmethod
@@ -144,7 +143,6 @@ class Members:
 
     @cached_property
     def packed(self) -> _Packed:
-        """Arrays of all members."""
         count = len(self.members)
         depth = max((len(one.poles) for one in self.members), default=0)
         width = max((len(row) for one in self.members for row in one.gains), default=0)

@@ -224,7 +224,6 @@ class RunRecord(_Part):
 
     @property
     def noise(self) -> NoiseModel | None:
-        """Noise for the fuser."""
         return None if self.fuser_noise is None else NoiseModel.from_dict(self.fuser_noise)
 
     @property

@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import logging
 import os
+import socket
 import sys
 import traceback
 from collections.abc import Iterator, Sequence
@@ -137,7 +138,6 @@ def parser_of(command: str) -> argparse.ArgumentParser:
 
 
 def _run(options: argparse.Namespace) -> int:
-    """Run the command's module."""
     console = import_module("narxcal.cli.console").Console(json=options.json, quiet=options.quiet)
     warnings = logging.Handler(logging.WARNING)
     warnings.emit = lambda record: console.warn(record.getMessage())  # type: ignore[method-assign]
@@ -176,13 +176,77 @@ def _output(module: ModuleType, options: argparse.Namespace) -> Path | None:
 def _alone(out: Path | None) -> Iterator[None]:
     """Let no two commands write one output; raises `ConfigError` before any work."""
     from narxcal.support.files import in_place  # noqa: PLC0415 -- help does not wait for numpy
-    from narxcal.support.system import locked  # noqa: PLC0415 -- likewise
 
     with ExitStack() as stack:
         if out is not None and not in_place(out):
             with suppress(OSError):  # the command says what is wrong with the place
                 stack.enter_context(locked(out))
         yield
+
+
+@contextmanager
+def locked(target: Path) -> Iterator[None]:
+    """Keep other processes that lock it from writing to `target` while the block runs.
+
+    The lock is a file next to the target, `.NAME.lock`, that names process and machine; where its
+    folder does not exist, next to the first one above that does not either.
+
+    It ends with the process, however that ends; locks of network file systems may not hold.
+    Raises `ConfigError` if another process has it, and `OSError` if it cannot be written.
+    """
+    folder = Path(os.path.realpath(target))
+    while not folder.parent.exists():
+        folder = folder.parent
+    file = folder.with_name(f".{folder.name}.lock")
+    descriptor = _acquired(file, target)
+    try:
+        os.truncate(file, 0)
+        os.write(descriptor, f"{os.getpid()} on {socket.gethostname()}\n".encode())
+        yield
+    finally:
+        # Removed first, so that nobody can lock a file that is about to go.
+        try:
+            with suppress(OSError):
+                file.unlink()
+        finally:
+            os.close(descriptor)
+        with suppress(OSError):  # Windows removes no open file
+            file.unlink(missing_ok=True)
+
+
+def _acquired(file: Path, target: Path) -> int:
+    while True:
+        descriptor = os.open(file, os.O_RDWR | os.O_CREAT, 0o644)
+        if not _lock(descriptor):
+            owner = os.read(descriptor, 200).decode(errors="replace").strip()
+            os.close(descriptor)
+            raise ConfigError(
+                f"{target} is being written by another command (process {owner or 'unknown'})",
+                hint="Wait for it to end, or choose another name",
+            )
+        # Between opening and locking, the former owner may have removed this very file.
+        with suppress(OSError):
+            if os.path.samestat(os.fstat(descriptor), file.stat()):
+                return descriptor
+        os.close(descriptor)
+
+
+def _lock(descriptor: int) -> bool:
+    """Lock an open file until it is closed; whether nobody else has it."""
+    try:
+        if sys.platform == "win32":
+            import msvcrt  # noqa: PLC0415 -- of Windows alone
+
+            os.lseek(descriptor, 1 << 30, os.SEEK_SET)  # beyond what is read
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+            os.lseek(descriptor, 0, os.SEEK_SET)
+        else:
+            import fcntl  # noqa: PLC0415 -- of POSIX alone
+
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
 
 
 def _interrupted(state: str) -> int:

@@ -13,7 +13,6 @@ from training.ladder import Limits
 
 
 def add_options(parser: ArgumentParser) -> None:
-    """Add what the command takes to `parser`."""
     parser.add_argument(
         "--data", metavar="DIR", type=Path, required=True,
         help="folder with NAME.csv.gz (columns u, y) and NAME.json (train, test, init_window)",

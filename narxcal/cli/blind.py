@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
-from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from eval.diagnosis.blind.altered import make_altered
 from eval.diagnosis.blind.cases import BlindPlan
@@ -26,8 +25,9 @@ from narxcal.cli.options import (
 )
 from narxcal.cli.results import read_config
 from narxcal.support.errors import ConfigError
-from narxcal.support.files import Results, atomic_write_text, recover, to_json
+from narxcal.support.files import Results, atomic_write_text, to_json
 
+RESULTS = Results(SCHEMA, CASES, (KEY,), r"case_.*")
 SCORE, PAGE = "score.json", "score.html"
 # Keys of the plan, and what a person types for them.
 _PLANNED: Final = {
@@ -163,10 +163,9 @@ def _make(options: Namespace, console: Console) -> None:
     if options.build == "same" and options.altered is not None:
         raise ConfigError("--build same is for simulated flights", hint="Leave out --altered")
     plan = BlindPlan.parse({key: getattr(options, key) for key in _PLANNED}, options=_PLANNED)
-    results = _results(options.out)
-    results.check(options.out)
+    RESULTS.check(options.out)
     secret = str(plan.seed) if options.secret is None else options.secret
-    with results.writing(options.out) as folder, console.progress("Flying") as advance:
+    with RESULTS.writing(options.out) as folder, console.progress("Flying") as advance:
         if options.sim_logs is not None:
             made = make_log_cases(folder, plan, options.sim_logs)
             document = write_key(folder, plan, secret, made, advance)
@@ -207,11 +206,3 @@ def _score(options: Namespace, console: Console) -> None:
         console.table(title, head, rows)
     console.say(f"Page: {folder / PAGE}")
     console.document(document)
-
-
-def _results(folder: Path) -> Results:
-    """What may stand in the folder: cases of any number are an earlier run's."""
-    recover(folder.resolve())
-    found: Any = folder.iterdir() if folder.is_dir() else ()
-    own = [entry.name for entry in found if entry.name.startswith("case_")]
-    return Results(SCHEMA, CASES, (KEY, *own))

@@ -23,7 +23,6 @@ RESULTS = Results(SCHEMA, "compare.json", (PAGE,))
 
 
 def add_options(parser: ArgumentParser) -> None:
-    """Add what the command takes to `parser`."""
     parser.add_argument(
         "runs", metavar="RUN", type=path, nargs="+", help="folders of train or identify"
     )
@@ -34,7 +33,6 @@ def add_options(parser: ArgumentParser) -> None:
 
 
 def run(options: Namespace, console: Console) -> int:
-    """Compare runs; writes JSON and HTML."""
     RESULTS.check(options.out)
     runs = [
         Run(name, bundle, tuple(logs_for(bundle, options.logs, options.data, console)))

@@ -88,7 +88,6 @@ class Console:
         self.page.print(table)
 
     def document(self, document: Mapping[str, Any]) -> None:
-        """Print the JSON document, with --json."""
         if self.json:
             sys.stdout.write(to_json(document))
 

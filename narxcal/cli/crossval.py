@@ -21,7 +21,6 @@ RESULTS = Results(SCHEMA, "crossval.json", (PAGE,))
 
 
 def add_options(parser: ArgumentParser) -> None:
-    """Add what the command takes to `parser`."""
     add_config(parser, "DIR", "folder for the tables and the page")
     add_method(parser)
     add_jobs(parser, "folds")

@@ -8,7 +8,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from narxcal.cli.console import Console
-from narxcal.cli.evaluate import PAGE, judge, show
+from narxcal.cli.evaluate import PAGE, report, show
 from narxcal.cli.evaluate import RESULTS as EVALUATION
 from narxcal.cli.options import path
 from narxcal.cli.results import logs_for
@@ -24,7 +24,6 @@ RESULTS = Results(SCHEMA, DOCUMENT, (CONFIG, FLIGHTS, MODEL, PAGES))
 
 
 def add_options(parser: ArgumentParser) -> None:
-    """Add what the command takes to `parser`."""
     parser.add_argument(
         "--out",
         metavar="DIR",
@@ -35,18 +34,18 @@ def add_options(parser: ArgumentParser) -> None:
 
 
 def run(options: Namespace, console: Console) -> int:
-    """Fly, train, evaluate, and print where the page is."""
     folder = options.out.resolve()
     RESULTS.check(folder)
     _begin(folder)
     _fly(folder / FLIGHTS, console)
     config, base = load_config(folder / CONFIG)
     bundle = train(config, base, folder / MODEL, (False, console))
-    found = judge(bundle, logs_for(bundle, None, None, console), (folder / MODEL, None), console)
+    logs = logs_for(bundle, None, None, console)
+    found, evaluation, html = report(bundle, logs, (folder / MODEL, None), console)
     (folder / PAGES).mkdir()
-    EVALUATION.write(folder / PAGES, found.document, found.html)
+    EVALUATION.write(folder / PAGES, evaluation, html)
     page = f"{PAGES}/{PAGE}"
-    document = {"schema": SCHEMA, "complete": True, "page": page, "evaluation": found.document}
+    document = {"schema": SCHEMA, "complete": True, "page": page, "evaluation": evaluation}
     atomic_write_text(folder / DOCUMENT, to_json(document))
     show(console, found)
     console.say("This engine is a virtual one: draw no conclusions about any real one.")
@@ -64,7 +63,6 @@ def _begin(folder: Path) -> None:
 
 
 def _fly(folder: Path, console: Console) -> None:
-    """Write the logs of the demonstration and the truth about them."""
     scenario = load_scenario(Path(str(files("configs"))) / SCENARIO)
     with console.progress("Flying the virtual engine") as advance:
         truth = write_flights(folder, scenario, WriteOptions(JOBS), advance)

@@ -16,20 +16,19 @@ from eval.diagnosis.learned import LEARNED, keep_learned, learn_left_out
 from eval.diagnosis.page import budget_page, console_tables
 from eval.diagnosis.words import outcome
 from eval.outcome import plural
-from eval.report.page import now, write_page
+from eval.report.page import now
 from narxcal.calibration.bundle import DOCUMENT as BUNDLE
 from narxcal.cli.console import Console
 from narxcal.cli.options import SIMULATOR, add_mapping, add_out, add_trust, path
 from narxcal.cli.results import read_config
 from narxcal.support.errors import ConfigError
-from narxcal.support.files import Results, to_json
+from narxcal.support.files import Results, atomic_write_text, to_json
 
 DOCUMENT, PAGE = "gap.json", "gap.html"
 RESULTS = Results("narxcal.gap/", DOCUMENT, (PAGE, EMULATOR))
 
 
 def add_options(parser: ArgumentParser) -> None:
-    """Add what the command takes to `parser`."""
     parser.add_argument("--real", metavar="DIR", type=path, help="folder of the flights' logs")
     parser.add_argument("--sim", metavar="SIM", help=f"{SIMULATOR}; logs are paired by file name")
     add_out(parser)
@@ -102,14 +101,13 @@ def write(folder: Path, found: Answer) -> dict[str, Any]:
     quality = {**quality, "warnings": [*quality["warnings"], *page.failed]}
     document = {**found.document, "quality": quality}
     (folder / DOCUMENT).write_text(to_json(document), encoding="utf-8")
-    write_page(folder / PAGE, page.html)
+    atomic_write_text(folder / PAGE, page.html)
     (folder / EMULATOR).mkdir()
     write_emulator(folder / EMULATOR, found.emulator)
     return document
 
 
 def show(console: Console, document: Mapping[str, Any]) -> None:
-    """Print the verdict, the budget, effects that are not named, and cautions."""
     answer = outcome(document)
     for text in (answer.headline, *answer.lines):
         console.say(text)

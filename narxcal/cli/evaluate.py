@@ -2,43 +2,31 @@
 
 from __future__ import annotations
 
+import ctypes
+import sys
 from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from data_prep.log import Log
 from eval import terminal
-from eval.evaluate import SCHEMA, Evaluation, certificate
-from eval.outcome import Outcome
+from eval.evaluate import SCHEMA
 from eval.report.page import evaluate_page
-from eval.results import changed
-from eval.results import judge as evaluated
+from eval.results import Judgement, changed, judge
 from eval.run_logs import run_config
 from narxcal.calibration.bundle import Bundle, load_bundle, read_document
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_data, add_logs, add_run, fraction, path
 from narxcal.cli.results import header_of, logs_for
 from narxcal.support.files import Results
-from narxcal.support.system import release_memory
 
 PAGE = "evaluate.html"
 RESULTS = Results(SCHEMA, "evaluate.json", (PAGE,))
 
 
-@dataclass(frozen=True, eq=False)
-class Report:
-    """An evaluation with its verdict, its JSON document and its page."""
-
-    evaluation: Evaluation
-    outcome: Outcome
-    document: dict[str, Any]
-    html: str
-
-
 def add_options(parser: ArgumentParser) -> None:
-    """Add what the command takes to `parser`."""
     add_run(parser)
     add_logs(parser)
     parser.add_argument(
@@ -58,51 +46,58 @@ def default_output(options: Namespace) -> Path:
 
 
 def run(options: Namespace, console: Console) -> int:
-    """Evaluate a bundle on its held-out logs, or on others; writes JSON and HTML."""
     out = options.out or default_output(options)
     RESULTS.check(out)
     bundle = load_bundle(options.bundle, trust=options.trust)
     logs = logs_for(bundle, options.logs, options.data, console)
-    found = judge(bundle, logs, (options.bundle, options.trim), console)
-    RESULTS.save(out, found.document, found.html)
+    found, document, page = report(bundle, logs, (options.bundle, options.trim), console)
+    RESULTS.save(out, document, page)
     show(console, found)
-    console.finish(found.document, f"Page: {out / PAGE}")
+    console.finish(document, f"Page: {out / PAGE}")
     return found.outcome.exit_code
 
 
-def judge(
+def report(
     bundle: Bundle, logs: Sequence[Log], how: tuple[Path, float | None], console: Console
-) -> Report:
-    """Evaluate log by log; `how` names the bundle's folder and the trim."""
-    run_folder, trim = how
-    release_memory()  # that reading took
+) -> tuple[Judgement, dict[str, Any], str]:
+    """Evaluate log by log; returns also document and page. `how`: the bundle's folder, the trim."""
+    folder, trim = how
+    _release_memory()  # that reading took
     with console.progress("Evaluating") as advance:
-        found = evaluated(bundle, logs, trim, advance)
-    evaluation, warnings = found.evaluation, list(found.cautions)
+        found = judge(bundle, logs, trim, advance)
     config, settings = run_config(bundle)
-    title, rules = f"Evaluation: {config.name}", settings.transients.rule_set
-    header = header_of(title, run_folder, bundle, logs, rules)
-    facts = {**header.facts, "Constant inputs": certificate(bundle).words}
+    rules = settings.transients.rule_set
+    header = header_of(f"Evaluation: {config.name}", folder, bundle, logs, rules)
+    facts = {**header.facts, "Constant inputs": bundle.certificate.words}
     with console.progress("Drawing the page"):
-        header = replace(header, facts=facts, cautions=warnings)
-        html = evaluate_page(header, found.views, found.outcome)
+        header = replace(header, facts=facts, cautions=found.cautions)
+        page = evaluate_page(header, found.views, found.outcome)
     document = {
-        **evaluation.document(),
-        "run": str(run_folder),
-        "weights_sha256": str(read_document(run_folder)["weights"]["sha256"]),
+        **found.evaluation.document(),
+        "run": str(folder),
+        "weights_sha256": str(read_document(folder)["weights"]["sha256"]),
         "verified": bool(bundle.sha256),
         "changed": changed(bundle, logs),
-        "cautions": warnings,
+        "cautions": list(found.cautions),
     }
-    return Report(evaluation, found.outcome, document, html)
+    return found, document, page
 
 
-def show(console: Console, found: Report) -> None:
-    """Print the tables and the verdict."""
+def _release_memory() -> None:
+    """Give freed memory back to the system, where its C library (glibc) would keep it.
+
+    It holds arrays of one size as scraps between those that stay: half a gigabyte after reading a
+    flight of fifty hours.
+    """
+    if sys.platform != "win32" and hasattr(libc := ctypes.CDLL(None), "malloc_trim"):
+        libc.malloc_trim(0)
+
+
+def show(console: Console, found: Judgement) -> None:
     terminal.print_transients(console.page, found.evaluation.logs)
     terminal.print_scores(console.page, found.evaluation.logs)
     terminal.print_interval(console.page, found.evaluation.pooled)
     terminal.print_levels(console.page, found.evaluation.logs)
     terminal.print_outcome(console.page, found.outcome)
-    for caution in found.document["cautions"]:
+    for caution in found.cautions:
         console.warn(caution)

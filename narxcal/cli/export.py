@@ -17,7 +17,7 @@ from eval.run_logs import evaluation_logs
 from narxcal.calibration.bundle import Bundle, load_bundle
 from narxcal.channels import channel
 from narxcal.cli.console import Console
-from narxcal.cli.options import add_interval, add_logs, add_overwrite, add_trust, count, path
+from narxcal.cli.options import add_interval, add_logs, add_out_file, add_trust, count
 from narxcal.cli.results import check_ending
 from narxcal.export import (
     ExportOptions,
@@ -64,7 +64,6 @@ _WRITTEN = Results(proof.SCHEMA, proof.FILE, ("engine.c", "engine.h"))
 
 
 def add_options(parser: ArgumentParser) -> None:
-    """Add what the command takes to `parser`."""
     parser.add_argument(
         "source",
         metavar="SOURCE",
@@ -73,14 +72,7 @@ def add_options(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--to", choices=("table", "fmu", "c", "onnx", "jsbsim"), required=True, help="what to write"
     )
-    parser.add_argument(
-        "--out",
-        metavar="OUT",
-        type=path,
-        required=True,
-        help=".csv, .csv.gz, .fmu, .onnx, .xml; a folder for C",
-    )
-    add_overwrite(parser)
+    add_out_file(parser, "OUT", ".csv, .csv.gz, .fmu, .onnx, .xml; a folder for C")
     add_trust(parser)
     parser.add_argument("--fmi", choices=("2.0", "3.0"), default="2.0", help="default 2.0")
     parser.add_argument(
@@ -324,7 +316,6 @@ def _write(
 
 
 def _c(exported: Exportable, options: Namespace, cases: list[proof.Case], file: Path) -> _Compared:
-    """Write the sources, compile and run them."""
     program = exported.program(options.interval)
     for name, text in program.code.items():
         atomic_write_text(file.parent / name, text)
@@ -345,7 +336,6 @@ def _c(exported: Exportable, options: Namespace, cases: list[proof.Case], file: 
 def _fmu(
     exported: Exportable, options: Namespace, cases: list[proof.Case], file: Path
 ) -> _Compared:
-    """Write an FMU, and run it by FMPy."""
     program = exported.program(options.interval)
     size = write_fmu(program, file, options.fmi)
     if compiler() is None:
@@ -357,7 +347,6 @@ def _fmu(
 def _onnx(
     exported: Exportable, options: Namespace, cases: list[proof.Case], file: Path
 ) -> _Compared:
-    """Write a graph of one engine, and run it by onnxruntime."""
     engine = options.engine or ""
     size = write_onnx(exported.program(), file)
     if onnx_graph.runtime() is None:
@@ -373,7 +362,6 @@ def _onnx(
 def _jsbsim(
     exported: Exportable, options: Namespace, cases: list[proof.Case], file: Path
 ) -> _Compared:
-    """Fit JSBSim's turbine, write it, and fly it in JSBSim."""
     model, envelope = exported.model.for_engine(options.engine or ""), exported.program().envelope
     logs = cases[1:] or cases
     turbine = jsbsim.Turbine.of(model, envelope, logs)

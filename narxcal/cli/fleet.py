@@ -17,7 +17,6 @@ _SHOWN = ["tail", "file", "status", "reason", "hours", "assessed", "passed", "di
 
 
 def add_options(parser: ArgumentParser) -> None:
-    """Add what the command takes to `parser`."""
     parser.add_argument("config", metavar="CONFIG", type=path, help="TOML file of the fleet")
     parser.add_argument(
         "--out",

@@ -5,7 +5,6 @@ OUT contains the logs, `truth.json` and, with `--truth-channels`, `truth/` with 
 
 from __future__ import annotations
 
-import re
 from argparse import ArgumentParser, Namespace
 from collections.abc import Mapping
 from pathlib import Path
@@ -22,27 +21,19 @@ from narxcal.flight_test.fly import (
     write_flights,
 )
 from narxcal.flight_test.moves import FlightCard
-from narxcal.flight_test.scenario import FlightScenario, parse_effects
-from narxcal.support.files import Results, recover
+from narxcal.flight_test.scenario import FlightScenario
+from narxcal.support.files import Results
 
-_LOG = re.compile(r"(flight_\d+_(left|right)|data_set_\d+)\.csv(\.gz)?")
+_LOG = r"(flight_\d+_(left|right)|data_set_\d+)\.csv(\.gz)?"
+RESULTS = Results(TRUTH_SCHEMA, TRUTH, (TRUE_CHANNELS,), _LOG)
 
 # Keys of the scenario that the command line may set, and the option of each.
 _TYPED = {"seed": "--seed", "flights": "--flights", "sensors.preset": "--sensors"}
 
 
 def add_options(parser: ArgumentParser) -> None:
-    """Add what the command takes to `parser`."""
     parser.add_argument("config", metavar="CONFIG", help="TOML file, or a shipped one's name")
     add_out(parser)
-    parser.add_argument(
-        "--effects",
-        metavar="EFFECT",
-        nargs="+",
-        action="extend",
-        help="effects instead of CONFIG's, as spool_lag:factor=1.3,sensor_lag@EGT_C:tau_s=1.5, "
-        "or none",
-    )
     parser.add_argument(
         "--card", metavar="CARD.json", type=path, help="fly this flight card on every flight"
     )
@@ -58,14 +49,13 @@ def add_options(parser: ArgumentParser) -> None:
 
 def run(options: Namespace, console: Console) -> int:
     """Fly all flights of a scenario and write all of them or none."""
-    results = _results(options.out)
-    results.check(options.out)
+    RESULTS.check(options.out)
     scenario = read_scenario(options)
     how = WriteOptions(options.jobs, options.gzip, options.truth_channels)
-    with results.writing(options.out) as folder:
+    with RESULTS.writing(options.out) as folder:
         with console.progress("Flying") as advance:
             document = write_flights(folder, scenario, how, advance)
-        results.write(folder, document)
+        RESULTS.write(folder, document)
     _show(console, document, options.out)
     console.document({**document, "out": str(options.out)})
     return 0
@@ -77,8 +67,6 @@ def read_scenario(options: Namespace) -> FlightScenario:
     changes: dict[str, Any] = {
         name: value for name in ("seed", "flights") if (value := getattr(options, name)) is not None
     }
-    if options.effects is not None:
-        changes["effects"] = parse_effects(options.effects)
     if options.card is not None:
         changes["card"] = FlightCard.read(options.card)
     if options.sensors is not None:
@@ -89,14 +77,6 @@ def read_scenario(options: Namespace) -> FlightScenario:
     stored = scenario.model_dump(by_alias=True, exclude_unset=True)
     typed = {key: word for key, word in _TYPED.items() if key.partition(".")[0] in changes}
     return FlightScenario.parse({**stored, **changes}, options.config, typed)
-
-
-def _results(folder: Path) -> Results:
-    """Files that may be replaced: logs of any number of flights are those of an earlier run."""
-    recover(folder.resolve())
-    found = folder.iterdir() if folder.is_dir() else ()
-    logs = [entry.name for entry in found if _LOG.fullmatch(entry.name)]
-    return Results(TRUTH_SCHEMA, TRUTH, (TRUE_CHANNELS, *logs))
 
 
 def _show(console: Console, document: Mapping[str, Any], out: Path) -> None:

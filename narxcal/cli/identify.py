@@ -21,13 +21,11 @@ _MOST_SHOWN = 40  # parameters; a black box has hundreds without a meaning
 
 
 def add_options(parser: ArgumentParser) -> None:
-    """Add what the command takes to `parser`."""
     add_config(parser, "RUN", "folder for the model")
     add_method(parser)
 
 
 def run(options: Namespace, console: Console) -> int:
-    """Identify a model and write the bundle and its parameters."""
     config, base = read_config(options.config, options.data)
     config = with_method(config, options.method)
     check(options.out, resume=False)

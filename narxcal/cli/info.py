@@ -11,12 +11,9 @@ import numpy as np
 
 from narxcal.calibration.bundle import Bundle, load_bundle, read_document
 from narxcal.calibration.calibration import DynamicCalibration
-from narxcal.calibration.certificate import Certificate, certificate_of
-from narxcal.calibration.run_record import RunRecord
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_run
 from narxcal.cli.results import hash_words, interval_words, lag_words, steady_words
-from narxcal.support.settings import read_stored
 
 SCHEMA = "narxcal.info/1"
 _KEPT = ("split", "seeds", "steady_state", "lag_form", "training")
@@ -24,7 +21,6 @@ _FIGURES = ("rmse", "one_step_rmse", "steady_state_rmse")
 
 
 def add_options(parser: ArgumentParser) -> None:
-    """Add what the command takes to `parser`."""
     add_run(parser)
 
 
@@ -32,7 +28,7 @@ def run(options: Namespace, console: Console) -> int:
     """Load a bundle, which checks it, and print what is stored about it."""
     bundle = load_bundle(options.bundle, trust=options.trust)
     document = _document(str(options.bundle), bundle, read_document(options.bundle))
-    console.facts(_facts(document, bundle.record))
+    console.facts(_facts(document, bundle))
     console.table(
         "Outputs and the guaranteed bounds of their deviation from steady state",
         ["channel", "unit", "low", "high"],
@@ -94,7 +90,7 @@ def _document(run: str, bundle: Bundle, stored: dict[str, Any]) -> dict[str, Any
             "words": interval_words(calibration.interval, names=calibration.output_names),
             "held_out": 0 if calibration.interval is None else calibration.interval.pieces,
         },
-        "certificate": certificate_of(calibration, record.certificate).row(),
+        "certificate": bundle.certificate.row(),
         "deviation_bounds": {
             name: [float(low[k]), float(high[k])]
             for k, name in enumerate(calibration.output_names)
@@ -132,7 +128,10 @@ def _metrics(run: Path, weights: str) -> dict[str, Any] | None:
             "trim": None if found["trim"] is None else float(found["trim"]),
             **found["pooled"],
             "channels": {
-                name: {**row, **{key: _finite(row[key]) for key in _FIGURES}}
+                name: {
+                    **row,
+                    **{key: None if row[key] is None else float(row[key]) for key in _FIGURES},
+                }
                 for name, row in channels.items()
             },
             "ti_tt": {**counts, **{key: int(counts[key]) for key in ("passed", "assessed")}},
@@ -141,11 +140,8 @@ def _metrics(run: Path, weights: str) -> dict[str, Any] | None:
         return None
 
 
-def _finite(value: Any) -> float | None:
-    return None if value is None else float(value)
-
-
-def _facts(document: dict[str, Any], record: RunRecord) -> dict[str, str]:
+def _facts(document: dict[str, Any], bundle: Bundle) -> dict[str, str]:
+    record = bundle.record
     split = record.split.items()
     facts = {
         "Model": document["name"] or document["run"],
@@ -158,7 +154,7 @@ def _facts(document: dict[str, Any], record: RunRecord) -> dict[str, str]:
         "Steady state": steady_words(record),
         "Lags": lag_words(record),
         "Interval": document["interval"]["words"],
-        "Constant inputs": read_stored(Certificate, document["certificate"], "certificate").words,
+        "Constant inputs": bundle.certificate.words,
         **{f"{part.capitalize()} logs": ", ".join(logs) or "none" for part, logs in split},
         "Seeds": ", ".join(map(str, record.seeds)),
         "Versions": ", ".join(f"{name} {text}" for name, text in record.versions.items()),

@@ -28,7 +28,7 @@ from eval.report.style import without_math
 from narxcal.atmosphere import cas_of_mach
 from narxcal.channels import CHANNELS, SPOOLS, described
 from narxcal.cli.console import Console
-from narxcal.cli.options import add_overwrite, path
+from narxcal.cli.options import add_out_file, path
 from narxcal.cli.results import check_pair
 from narxcal.support.errors import NarxcalError
 from narxcal.support.files import atomic_write_bytes, atomic_write_text
@@ -47,12 +47,8 @@ _TRAINED = 2.0 / 3.0  # of the files
 
 
 def add_options(parser: ArgumentParser) -> None:
-    """Add what the command takes to `parser`."""
     parser.add_argument("logs", metavar="LOG", type=path, nargs="+", help="logs of one recorder")
-    parser.add_argument(
-        "--out", metavar="FILE.toml", type=path, required=True, help="and FILE.png next to it"
-    )
-    add_overwrite(parser)
+    add_out_file(parser, "FILE.toml", "and FILE.png next to it")
 
 
 def run(options: Namespace, console: Console) -> int:

@@ -22,7 +22,6 @@ _LARGEST_COUNT = 1_000_000
 
 
 def path(text: str) -> Path:
-    """File or folder."""
     if not text or "\0" in text:
         raise ArgumentTypeError(f"expected a file or folder, found {text!r}")
     return Path(text)
@@ -132,8 +131,9 @@ def add_out(parser: ArgumentParser) -> None:
     parser.add_argument("--out", metavar="DIR", type=path, required=True, help="folder")
 
 
-def add_overwrite(parser: ArgumentParser) -> None:
-    """--overwrite of a command that writes one file."""
+def add_out_file(parser: ArgumentParser, name: str, text: str) -> None:
+    """--out and --overwrite of a command that writes one file, or two of one name."""
+    parser.add_argument("--out", metavar=name, type=path, required=True, help=text)
     parser.add_argument("--overwrite", action="store_true", help="replace OUT if it exists")
 
 
@@ -152,13 +152,11 @@ def add_jobs(parser: ArgumentParser, what: str) -> None:
 
 
 def add_run(parser: ArgumentParser) -> None:
-    """RUN and --trust."""
     parser.add_argument("bundle", metavar="RUN", type=path, help="folder that train wrote")
     add_trust(parser)
 
 
 def add_trust(parser: ArgumentParser) -> None:
-    """--trust of every command that reads a run."""
     parser.add_argument(
         "--trust",
         action="store_true",

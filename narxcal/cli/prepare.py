@@ -18,7 +18,7 @@ from data_prep.equilibrium import while_running
 from data_prep.log import Log
 from data_prep.reading import read_logs
 from eval.preparation import (
-    LogSummary,
+    LogReport,
     cautions_about,
     events_table,
     examine,
@@ -51,7 +51,6 @@ _BYTES_PER_PROCESS = 10_000_000
 
 
 def add_options(parser: ArgumentParser) -> None:
-    """Add what the command takes to `parser`."""
     add_config(parser, "DIR", "folder for the prepared logs, tables and page")
     parser.add_argument(
         "--parquet", action="store_true", help="write each prepared log as Parquet, too"
@@ -60,7 +59,6 @@ def add_options(parser: ArgumentParser) -> None:
 
 
 def run(options: Namespace, console: Console) -> int:
-    """Prepare the logs of a configuration; writes tables, prepared logs, JSON and HTML."""
     RESULTS.check(options.out)
     config, base = read_config(options.config, options.data)
     files = config.logs.resolve(base)
@@ -69,20 +67,27 @@ def run(options: Namespace, console: Console) -> int:
         arrow(options.out)
     with RESULTS.writing(options.out) as folder:
         logs = _prepared(files, _Work(config, folder / _UNNAMED, forms), options.jobs, console)
-        names = file_names([one.name for one in logs])
+        names = file_names([one.report.log.name for one in logs])
         _name(folder, logs, names, forms)
         document = _document(config, logs, names, forms)
-        _write_tables(folder, logs)
+        _write_tables(folder, [one.report for one in logs])
         RESULTS.write(folder, document)
-        title, sources = f"Prepared logs: {config.name}", [one.source for one in logs]
+        title, sources = f"Prepared logs: {config.name}", [one.report.log.source for one in logs]
         header = config_header(title, config, sources, document["cautions"])
         with (folder / RESULTS.others[0]).open("w", encoding="utf-8") as page:
             page.writelines(prepare_page(header, [one.page for one in logs]))
-    _show(console, logs, options.out)
-    for caution in document["cautions"]:
-        console.warn(caution)
-    console.document(document)
+    _show(console, logs)
+    console.finish(document, f"Page: {options.out / 'prepare.html'}", document["cautions"])
     return 0
+
+
+@dataclass(frozen=True, eq=False)
+class _Written:
+    """A log that is written: the report of it, its part of the document, and of the page."""
+
+    report: LogReport
+    document: dict[str, Any]
+    page: PreparedLog
 
 
 @dataclass(frozen=True)
@@ -93,7 +98,7 @@ class _Work:
     folder: Path
     forms: tuple[str, ...]
 
-    def of_file(self, numbered: tuple[int, Path]) -> list[LogSummary] | NarxcalError:
+    def of_file(self, numbered: tuple[int, Path]) -> list[_Written] | NarxcalError:
         """Prepare and write the logs of one file; an error is returned, as the first one counts."""
         number, file = numbered
         try:
@@ -105,25 +110,31 @@ class _Work:
         except NarxcalError as error:
             return error
 
-    def _of_next(self, logs: list[Log], number: str) -> LogSummary:
+    def _of_next(self, logs: list[Log], number: str) -> _Written:
         # Nothing but `examine` refers to the log, which it lets go of.
         report = examine(logs.pop(0), self.config)
         for form in self.forms:
-            _WRITERS[form](self.folder / f"{number}{form}", _columns(report.log))
-        return report.summary(number)
+            _WRITERS[form](
+                self.folder / f"{number}{form}",
+                {"time_s": report.log.time_s, **report.log.channels},
+            )
+        page = PreparedLog.of(report.view(), report.trial, number)
+        return _Written(report.without_samples(), report.to_dict(), page)
 
-    def drawn(self, one: LogSummary) -> PreparedLog:
+    def drawn(self, one: _Written) -> PreparedLog:
         """Draw a log from the file it was written to."""
         table = pd.read_csv(self.folder / f"{one.page.number}{CSV}")
-        return one.drawn({str(name): table[name].to_numpy(dtype=float) for name in table})
+        channels = {str(name): table[name].to_numpy(dtype=float) for name in table}
+        log = replace(one.report.log, time_s=channels.pop("time_s"), channels=channels)
+        return one.page.with_pictures(replace(one.report, log=log).view())
 
 
-def _prepared(files: Sequence[Path], work: _Work, jobs: int, console: Console) -> list[LogSummary]:
+def _prepared(files: Sequence[Path], work: _Work, jobs: int, console: Console) -> list[_Written]:
     """Prepare the files in their order, however many at a time."""
     work.folder.mkdir()
     size = sum(file.stat().st_size for file in files if file.is_file())
     jobs = max(1, min(jobs, len(files), size // _BYTES_PER_PROCESS))
-    logs: list[LogSummary] = []
+    logs: list[_Written] = []
     with console.progress("Preparing") as advance:
         found = in_processes(work.of_file, enumerate(files, 1), jobs)
         for done, (file, one) in enumerate(zip(files, found, strict=True), 1):
@@ -131,17 +142,13 @@ def _prepared(files: Sequence[Path], work: _Work, jobs: int, console: Console) -
                 raise one
             logs += one
             advance(done, len(files), file.name)
-    chosen = most_to_show(logs, MOST_DRAWN)
+    chosen = most_to_show([one.report for one in logs], MOST_DRAWN)
     with console.progress("Drawing the page"):
         jobs = max(1, min(jobs, len(chosen)))
         pages = list(in_processes(work.drawn, [logs[k] for k in chosen], jobs))
     for k, page in zip(chosen, pages, strict=True):
         logs[k] = replace(logs[k], page=page)
     return logs
-
-
-def _columns(log: Log) -> dict[str, FloatArray]:
-    return {"time_s": log.time_s, **log.channels}
 
 
 def _write_csv(path: Path, columns: Mapping[str, FloatArray]) -> None:
@@ -159,7 +166,7 @@ _WRITERS = {CSV: _write_csv, PARQUET: write_parquet}
 
 
 def _name(
-    folder: Path, logs: Sequence[LogSummary], names: Sequence[str], forms: Sequence[str]
+    folder: Path, logs: Sequence[_Written], names: Sequence[str], forms: Sequence[str]
 ) -> None:
     """Give the files of the logs their names, which all logs together decide."""
     (folder / "logs").mkdir()
@@ -170,25 +177,26 @@ def _name(
 
 
 def _document(
-    config: RunConfig, logs: Sequence[LogSummary], names: Sequence[str], forms: Sequence[str]
+    config: RunConfig, logs: Sequence[_Written], names: Sequence[str], forms: Sequence[str]
 ) -> dict[str, Any]:
+    reports = [one.report for one in logs]
     keys = {CSV: "prepared", PARQUET: "parquet"}
     return {
         "schema": SCHEMA,
         "config": config.model_dump(mode="json", by_alias=True),
         "versions": versions(),
-        "cautions": cautions_about(logs),
+        "cautions": cautions_about(reports),
         "logs": [
             {**one.document, **{keys[form]: f"{name}{form}" for form in forms}}
             for one, name in zip(logs, names, strict=True)
         ],
-        "pearson": pearson_table(logs).to_dict(orient="records"),
-        "windows": windows_table(logs).to_dict(orient="records"),
+        "pearson": pearson_table(reports).to_dict(orient="records"),
+        "windows": windows_table(reports).to_dict(orient="records"),
         "window": config.smooth.window_at(logs[0].document["dt_s"]),
     }
 
 
-def _write_tables(folder: Path, logs: Sequence[LogSummary]) -> None:
+def _write_tables(folder: Path, logs: Sequence[LogReport]) -> None:
     events = events_table(logs)
     events["start_s"] = events["start_s"].map(TIME_FORMAT.__mod__)
     for name, table in (
@@ -214,13 +222,12 @@ def file_names(logs: Sequence[str]) -> list[str]:
     return list(found)
 
 
-def _show(console: Console, logs: Sequence[LogSummary], out: Path) -> None:
+def _show(console: Console, logs: Sequence[_Written]) -> None:
     rows = []
     for one in logs:
         found = one.document
         lost = sum(sum(reasons.values()) for reasons in found["masked"].values())
         pushes, pulls = found["events"]["push"], found["events"]["pull"]
         minutes = f"{found['duration_s'] / 60.0:.1f}"
-        rows.append([one.name, minutes, str(pushes), str(pulls), str(lost)])
+        rows.append([found["log"], minutes, str(pushes), str(pulls), str(lost)])
     console.table("Prepared logs", ["log", "minutes", "pushes", "pulls", "masked samples"], rows)
-    console.say(f"Page: {out / 'prepare.html'}")

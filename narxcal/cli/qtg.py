@@ -22,7 +22,7 @@ from eval.report.qtg_pages import guide_pdf
 from eval.run_logs import recorded_logs, run_config
 from narxcal.calibration.bundle import Bundle, load_bundle
 from narxcal.cli.console import Console
-from narxcal.cli.options import add_data, add_logs, add_overwrite, add_run, path
+from narxcal.cli.options import add_data, add_logs, add_out_file, add_run, path
 from narxcal.cli.results import check_pair, logs_for
 from narxcal.support.files import atomic_write_bytes, atomic_write_text, check_file, to_json
 from training.rules import RULES, TOLERANCE_SHARE
@@ -30,7 +30,6 @@ from training.transients import TransientsConfig
 
 
 def add_options(parser: ArgumentParser) -> None:
-    """Add what the command takes to `parser`."""
     add_run(parser)
     add_logs(parser)
     parser.add_argument("--rules", choices=tuple(RULES), help="default: those of the run")
@@ -39,9 +38,7 @@ def add_options(parser: ArgumentParser) -> None:
         choices=tuple(TOLERANCE_SHARE),
         help="of the validation data; default: that of the run",
     )
-    parser.add_argument(
-        "--out", metavar="FILE.pdf", type=path, required=True, help="and FILE.json next to it"
-    )
+    add_out_file(parser, "FILE.pdf", "and FILE.json next to it")
     parser.add_argument(
         "--tests", metavar="FILE", type=path, help=".toml or .csv: tests, titles, rationales"
     )
@@ -52,7 +49,6 @@ def add_options(parser: ArgumentParser) -> None:
         "--master", metavar="FILE.json", type=path, help="draw over the curves of an earlier guide"
     )
     add_data(parser, "folder of the held-out logs, if they have moved")
-    add_overwrite(parser)
 
 
 def run(options: Namespace, console: Console) -> int:

@@ -10,7 +10,7 @@ from eval.replay import ReplayModel, ReplayOptions, ReplaySummary, replay
 from eval.run_logs import file_findings
 from narxcal.calibration.bundle import Bundle, load_bundle
 from narxcal.cli.console import Console
-from narxcal.cli.options import add_interval, add_overwrite, add_run, path
+from narxcal.cli.options import add_interval, add_out_file, add_run, path
 from narxcal.cli.results import interval_words
 from narxcal.intervals import LEVEL
 from narxcal.support.files import check_file
@@ -19,11 +19,9 @@ SCHEMA = "narxcal.replay/1"
 
 
 def add_options(parser: ArgumentParser) -> None:
-    """Add what the command takes to `parser`."""
     add_run(parser)
     parser.add_argument("log", metavar="LOG", type=path, help="log, read by RUN's mapping")
-    parser.add_argument("--out", metavar="OUT.csv", type=path, required=True, help="CSV file or -")
-    add_overwrite(parser)
+    add_out_file(parser, "OUT.csv", "CSV file or -")
     add_interval(parser, LEVEL)
     parser.add_argument("--engine", metavar="NAME", help="replay this engine only")
     parser.add_argument("--realtime", action="store_true", help="no faster than the clock")
@@ -35,7 +33,6 @@ def add_options(parser: ArgumentParser) -> None:
 
 
 def run(options: Namespace, console: Console) -> int:
-    """Replay a log and write one CSV."""
     console = console.for_output(options.out)
     check_file(options.out, options.log, options.bundle, overwrite=options.overwrite)
     bundle = load_bundle(options.bundle, trust=options.trust)

@@ -50,7 +50,6 @@ SPEY_SEEDS, SPEY_QUICK_SEEDS = 100, 4
 
 
 def add_options(parser: ArgumentParser) -> None:
-    """Add what the command takes to `parser`."""
     parser.add_argument("paper", metavar="PAPER", choices=PAPERS, help=", ".join(PAPERS))
     add_out(parser)
     parser.add_argument(

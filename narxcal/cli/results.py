@@ -203,7 +203,6 @@ def header_of(
 
 
 def hash_words(sha256: str) -> str:
-    """Hash of a loaded bundle in words."""
     return f"sha256 {sha256[:16]}"
 
 

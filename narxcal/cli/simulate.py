@@ -28,10 +28,9 @@ from eval.diagnosis.simulators import Simulate, open_simulator
 from eval.run_logs import bank_of
 from narxcal.calibration.bundle import Bundle, load_bundle
 from narxcal.calibration.calibration import Calibration
-from narxcal.calibration.certificate import certificate_of
 from narxcal.channels import CHANNELS
 from narxcal.cli.console import Console
-from narxcal.cli.options import SIMULATOR, add_interval, add_mapping, add_overwrite, add_trust, path
+from narxcal.cli.options import SIMULATOR, add_interval, add_mapping, add_out_file, add_trust, path
 from narxcal.cli.results import interval_words, read_config
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError
@@ -61,7 +60,6 @@ class _Run:
 
 
 def add_options(parser: ArgumentParser) -> None:
-    """Add what the command takes to `parser`."""
     parser.add_argument(
         "bundle", metavar="RUN", type=path, nargs="?", help="folder that train wrote"
     )
@@ -72,15 +70,8 @@ def add_options(parser: ArgumentParser) -> None:
         nargs="?",
         help="inputs, by RUN's mapping or canonical",
     )
-    parser.add_argument(
-        "--out",
-        metavar="OUT",
-        type=path,
-        required=True,
-        help="CSV file, -, or folder",
-    )
+    add_out_file(parser, "OUT", "CSV file, -, or folder")
     add_interval(parser)
-    add_overwrite(parser)
     add_trust(parser)
     group = parser.add_argument_group("with the effects that diagnose found")
     group.add_argument("--sim", metavar="SIM", help=SIMULATOR)
@@ -103,7 +94,7 @@ def run(options: Namespace, console: Console) -> int:
     console = console.for_output(options.out)
     check_file(options.out, options.inputs, options.bundle, overwrite=options.overwrite)
     bundle = load_bundle(options.bundle, trust=options.trust)
-    settling = certificate_of(bundle.calibration, bundle.record.certificate)
+    settling = bundle.certificate
     if not settling.settled:
         console.warn(f"the model {settling.words}")
     logs = read_inputs(bundle, Path(options.inputs))

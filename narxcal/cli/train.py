@@ -20,7 +20,6 @@ from narxcal.calibration.bundle import (
     settle_bundle,
     write_bundle,
 )
-from narxcal.calibration.certificate import certificate_of
 from narxcal.calibration.run_record import RunRecord
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_config
@@ -43,7 +42,6 @@ CHECKPOINTS = "checkpoints"
 
 
 def add_options(parser: ArgumentParser) -> None:
-    """Add what the command takes to `parser`."""
     add_config(parser, "RUN", "folder for the model")
     parser.add_argument("--resume", action="store_true", help="continue an interrupted training")
 
@@ -177,7 +175,7 @@ def _show(console: Console, folder: Path, bundle: Bundle) -> None:
         "Interval": interval_words(
             bundle.calibration.interval, names=bundle.calibration.output_names
         ),
-        "Constant inputs": certificate_of(bundle.calibration, record.certificate).words,
+        "Constant inputs": bundle.certificate.words,
     }
     console.facts({name: words for name, words in facts.items() if words})
     ends = [

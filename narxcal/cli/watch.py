@@ -10,20 +10,17 @@ from eval.report.page import RunHeader
 from eval.report.watch_page import console_rows, watch_page
 from eval.watch import watch
 from narxcal.cli.console import Console
-from narxcal.cli.options import add_overwrite, address, path
+from narxcal.cli.options import add_out_file, address, path
 from narxcal.cli.results import check_pair
 from narxcal.support.addresses import Folder
 from narxcal.support.files import atomic_write_text, to_json
 
 
 def add_options(parser: ArgumentParser) -> None:
-    """Add what the command takes to `parser`."""
     parser.add_argument(
         "fleet", metavar="FLEET", type=address, help="dataset that narxcal fleet wrote"
     )
-    parser.add_argument(
-        "--out", metavar="PAGE.html", type=path, required=True, help="and PAGE.json next to it"
-    )
+    add_out_file(parser, "PAGE.html", "and PAGE.json next to it")
     parser.add_argument(
         "--engine",
         metavar="REGEX",
@@ -34,7 +31,6 @@ def add_options(parser: ArgumentParser) -> None:
         "--config", metavar="CONFIG", type=path,
         help="TOML file of the fleet, for commands with the places of flights and run",
     )  # fmt: skip
-    add_overwrite(parser)
 
 
 def _pattern(text: str) -> str:

@@ -66,7 +66,6 @@ class Variable:
 
     @property
     def variability(self) -> str:
-        """How it may change."""
         if self.causality == "parameter":
             return "tunable" if self.kind == "Boolean" else "fixed"
         return "continuous" if self.channel else "discrete"
@@ -312,7 +311,6 @@ def _headers(fmi: str) -> tuple[Path, str]:
 
 
 def _identifier(file: Path) -> str:
-    """Make a C identifier from the name of the file."""
     name = re.sub(r"\W", "_", file.stem, flags=re.ASCII)
     return name if name[:1].isalpha() else f"model_{name}"
 

@@ -52,12 +52,10 @@ class FmuRun:
         self.slave.exitInitializationMode()
 
     def set_engine(self, engine: int) -> None:
-        """Choose an engine by number."""
         put = self.slave.setInt32 if self.fmi3 else self.slave.setInteger
         put([self.references["engine"]], [engine])
 
     def values(self) -> list[float]:
-        """Outputs now."""
         return list(self.unit.get(self.outputs))
 
     def run(self, inputs: FloatArray, step_s: float, first: int = 0) -> FloatArray:

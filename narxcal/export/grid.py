@@ -87,7 +87,6 @@ class Grid:
 
     @property
     def fixed(self) -> dict[str, float]:
-        """Inputs fixed at one value."""
         return {name: nodes[0] for name, nodes in self.axes.items() if len(nodes) == 1}
 
     @property
@@ -136,7 +135,6 @@ class Block:
 
     @property
     def rows(self) -> int:
-        """Number of conditions of the block."""
         return int(np.prod([len(axis) for axis in self.axes], dtype=np.int64))
 
     def interpolant(self) -> Multilinear:
@@ -183,7 +181,6 @@ class GriddedModel:
 
     @property
     def rows(self) -> int:
-        """Number of conditions stored."""
         return sum(block.rows for block in self.blocks)
 
     def outputs(self, inputs: ArrayLike) -> FloatArray:

@@ -106,11 +106,9 @@ class Turbine:
         )  # fmt: skip
 
     def position(self, lever: FloatArray) -> FloatArray:
-        """Throttle positions at levers."""
         return np.asarray(np.interp(lever, self.lever, self.throttle))
 
     def to_json(self) -> dict[str, Any]:
-        """Throttle positions over the run's lever."""
         position = {"lever": self.lever.tolist(), "position": self.throttle.tolist()}
         return {"driver": self.driver, **position}
 

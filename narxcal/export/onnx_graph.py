@@ -34,7 +34,6 @@ class Graph:
         self._known: dict[Any, str] = {}
 
     def constant(self, value: Any, kind: type = np.float64) -> Number:
-        """A constant of any shape."""
         array: NDArray[Any] = np.asarray(value, dtype=kind)
         key = (array.dtype.str, array.shape, array.tobytes())
         if key not in self._known:
@@ -43,7 +42,6 @@ class Graph:
         return Number(self, self._known[key])
 
     def add(self, operation: str, *inputs: Any, **attributes: Any) -> Number:
-        """The output of a node."""
         from onnx import helper  # noqa: PLC0415  (an extra that most installations lack)
 
         names = [one.name if isinstance(one, Number) else self.constant(one).name for one in inputs]
@@ -73,7 +71,6 @@ class Number:
         self.graph, self.name = graph, name
 
     def to(self, operation: str, *others: Any, **attributes: Any) -> Number:
-        """An operation on this number and others."""
         return self.graph.add(operation, self, *others, **attributes)
 
     __add__, __radd__ = _both_sides("Add")

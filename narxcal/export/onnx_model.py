@@ -329,7 +329,6 @@ class _Model:
         return g.add("Concat", *((whole + v).to("Unsqueeze", one) for v in columns), axis=1)
 
     def build(self) -> tuple[Number, Number]:
-        """Next state and output."""
         g, given = self.graph, Number(self.graph, "input")
         inputs: Numbers = [given.column(k) for k in range(len(self.program.model.input_names))]
         self.batch = inputs[0] * 0.0

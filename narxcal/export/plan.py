@@ -255,9 +255,9 @@ class Planned:
     def report(self, grid: Grid, options: ExportOptions, file: str, size: int) -> ExportReport:
         """Report on `file` of `size` bytes."""
         axes = {
-            name: tuple(axis.tolist())
+            grid.varying[column]: tuple(axis.tolist())
             for block in reversed(self.gridded.blocks)
-            for name, axis in zip(_names(block, grid), block.axes, strict=True)
+            for column, axis in zip(block.columns, block.axes, strict=True)
         }
         return ExportReport(
             file,
@@ -270,10 +270,6 @@ class Planned:
             options.tolerance_pct,
             self.stopped,
         )
-
-
-def _names(block: Block, grid: Grid) -> list[str]:
-    return [grid.varying[column] for column in block.columns]
 
 
 def plan(model: SteadyStateModel, grid: Grid, options: ExportOptions, *, separate: bool) -> Planned:
@@ -338,7 +334,6 @@ class _Sampling:
             )
 
     def as_given(self) -> Planned:
-        """Sample on the given nodes alone."""
         return self._planned([{}] * len(self.layers), "nodes")
 
     def refined(self) -> Planned:

@@ -59,7 +59,6 @@ class Program:
 
     @property
     def steady_struct(self) -> Struct:
-        """Numbers of the steady state."""
         return self._steady[0]
 
     @cached_property
@@ -100,7 +99,6 @@ class Program:
 
     @property
     def envelope(self) -> Envelope:
-        """Ranges of the inputs."""
         numbers = self._steady[0].numbers
         return Envelope(numbers["low"], numbers["high"])
 
@@ -127,7 +125,8 @@ class Program:
             "enum { /* engines */",
             *(
                 f"    NARXCAL_ENGINE_{re.sub(r'[^A-Za-z0-9]', '_', name) or 'chosen'},"
-                for name in _distinct(self.engines)
+                # Without the name that the chosen one has among the others.
+                for name in (self.engines[0] if len(self.engines) == 1 else "", *self.engines[1:])
             ),
             "    NARXCAL_ENGINES\n};",
         ]
@@ -213,11 +212,6 @@ def _steady_function(kind: str) -> str:
         f"static int steady(int engine, const double *in, double *ss)\n{{\n{engine[1]}"
         f"    return {kind}_outputs(&steady_numbers, {engine[0]}in, ss);\n}}\n"
     )
-
-
-def _distinct(names: Sequence[str]) -> list[str]:
-    """Names of engines; the chosen one first, without the name that it has among the others."""
-    return [names[0] if len(names) == 1 else "", *names[1:]]
 
 
 def _meaning(name: str) -> str:
@@ -334,12 +328,10 @@ class Exportable:
         return cls(model, sampled, report, bundle.sha256, chosen.source)
 
     def program(self, level: float = LEVEL) -> Program:
-        """The model as C."""
         return Program(self.model, self.about, self.sha256, level)
 
     @property
     def about(self) -> list[str]:
-        """Lines on what the file is."""
         lines = [
             f"Turbofan model '{self.name}' by {generation_tool()}: {self.original.words}",
             f"Run {self.sha256 or 'without a hash'}, sampled every {self.model.dt_s:.9g} s",

@@ -84,7 +84,6 @@ def compare(
 
 
 def simulated(model: Calibration) -> Run:
-    """What `simulate` gives."""
     return lambda trials: (
         model.for_engine(case.engine, or_mean=True).simulate(held(case.inputs), start)
         for case, start in trials

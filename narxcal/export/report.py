@@ -69,7 +69,6 @@ class OutputError:
 
     @property
     def max_pct(self) -> float:
-        """Largest error in percent of the range."""
         return 100.0 * self.max / self.range
 
 
@@ -106,7 +105,6 @@ class ExportReport:
 
     @property
     def met(self) -> bool:
-        """Whether every output meets the tolerance."""
         return self.measured.worst_pct <= self.tolerance_pct
 
     @property

@@ -260,7 +260,6 @@ class LeverMove(NamedTuple):
         return "push" if self.to_deg > self.from_deg else "pull"
 
     def row(self) -> dict[str, Any]:
-        """Give it as a row of the truth file."""
         return {"kind": self.kind, **self._asdict()}
 
 

@@ -30,7 +30,6 @@ class Switched:
     stop_s: float
 
     def later(self, seconds: float) -> Switched:
-        """Return the same, `seconds` later."""
         return Switched(self.channel, self.start_s + seconds, self.stop_s + seconds)
 
 
@@ -56,17 +55,14 @@ class Corners:
 
     @property
     def duration_s(self) -> float:
-        """Time of the last corner."""
         return self.points[-1][0]
 
     @property
     def net_deg(self) -> float:
-        """Angle of the last corner."""
         return self.points[-1][1]
 
     @property
     def reach_deg(self) -> tuple[float, float]:
-        """Lowest and highest corner."""
         angles = [angle for _, angle in self.points]
         return min(angles), max(angles)
 
@@ -115,12 +111,10 @@ class Sweep:
 
     @property
     def duration_s(self) -> float:
-        """Time of the whole cycles."""
         return max(1, round(self.wanted_s * self._mean_hz)) / self._mean_hz
 
     @property
     def reach_deg(self) -> tuple[float, float]:
-        """One amplitude either way."""
         return -abs(self.amplitude_deg), abs(self.amplitude_deg)
 
     def swing_deg(self, time_s: FloatArray) -> FloatArray:
@@ -151,7 +145,6 @@ SLAM_DEG_S, FAST_DEG_S, SLOW_DEG_S = 120.0, 40.0, 4.0
 
 
 def hold(seconds: float) -> Corners:
-    """Keep the lever constant."""
     return Corners(((0.0, 0.0), (_time("a hold", seconds), 0.0)))
 
 

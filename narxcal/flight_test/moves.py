@@ -109,11 +109,9 @@ class Limits(Section):
         return [low] if low == high else np.linspace(low, high, self.altitudes).tolist()
 
     def mach_at(self, altitude_ft: float) -> float:
-        """Mach number at an altitude."""
         return float(np.interp(altitude_ft, self.altitude_ft, self.mach))
 
     def climb_min(self, low_ft: float, high_ft: float) -> float:
-        """Minutes between two altitudes."""
         return abs(high_ft - low_ft) / self.climb_ft_min
 
 

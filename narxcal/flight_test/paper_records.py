@@ -56,7 +56,6 @@ class PushWindow:
     high: tuple[float, float]
 
     def later(self, seconds: float) -> PushWindow:
-        """Return the same window, `seconds` later."""
         return replace(self, start_s=self.start_s + seconds, stop_s=self.stop_s + seconds)
 
 

@@ -62,7 +62,6 @@ class Placed:
 
     @property
     def stop_s(self) -> float:
-        """Time of its end."""
         return self.start_s + self.manoeuvre.duration_s
 
 
@@ -321,7 +320,6 @@ def work_levers(
 
 
 def _set(programme: _Programme, leg: Leg, style: Style) -> None:
-    """Move the levers to the angle of the leg."""
     setting, random = _SETTINGS[leg.name], programme.random
     target = setting.base
     if target > 0.0:
@@ -340,7 +338,6 @@ def _set(programme: _Programme, leg: Leg, style: Style) -> None:
 
 
 def _correct(programme: _Programme, leg: Leg) -> None:
-    """Draw small corrections about the leg's angle, like those of an autothrottle."""
     setting, random = _SETTINGS[leg.name], programme.random
     trim = programme.angle_deg
     pauses = _CORRECTIONS_S.get(leg.name, (8.0, 35.0))

@@ -2,22 +2,14 @@
 
 Each flight has a seed of its own, derived from that of the scenario, so that neither the number of
 flights nor the order in which they are flown changes any of them.
-
-On a command line an effect reads `ID[@CHANNEL]:NAME=VALUE[,NAME=VALUE...]`. Several are separated
-by commas or blanks, as in `spool_lag:factor=1.3,sensor_lag@EGT_C:tau_s=1.5`: a NAME=VALUE without
-an ID belongs to the effect before it. Besides the parameters of an effect there are
-`window=START-END` (s, only for effects that may come and go), `flight=N` and `engine=NAME`, each as
-often as necessary.
 """
 
 from __future__ import annotations
 
-import math
-import re
 import zlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
@@ -46,7 +38,6 @@ PARAMETERS: dict[str, unmodelled.Sizes] = {
 }
 _EXAMPLE = {"flowmeter_dynamics": "FF_kgph"}
 WINDOWED = ("unlogged_switch", *sensor_faults.WINDOWED)
-GRAMMAR = "ID[@CHANNEL]:NAME=VALUE[,NAME=VALUE...]"
 
 
 class FlownEffect(Section):
@@ -91,7 +82,6 @@ class FlownEffect(Section):
         return there and (not self.engines or engine in self.engines)
 
     def fault(self) -> SensorFault:
-        """Return it as the fault of a sensor."""
         return SensorFault(self.id, self.channel or "", self.parameters, self.windows_s)
 
     def _check_channel(self) -> None:
@@ -100,14 +90,14 @@ class FlownEffect(Section):
                 raise ConfigError(
                     f"effect '{self.id}' acts on the engine and has no channel, "
                     f"found '{self.channel}'",
-                    hint=f"Write {self.id} alone",
+                    hint="Leave the channel out",
                 )
             return
         fitting = channels_of(self.id)
         if self.channel is None:
             raise ConfigError(
                 f"effect '{self.id}' acts on one channel, and none is given",
-                hint=f"Write, for example, {self.id}@{_EXAMPLE.get(self.id, 'EGT_C')}",
+                hint=f"Give one, for example channel = '{_EXAMPLE.get(self.id, 'EGT_C')}'",
             )
         channel(self.channel)
         if self.channel not in fitting:
@@ -143,77 +133,6 @@ def check_once(effects: Sequence[FlownEffect]) -> None:
                 raise ConfigError(
                     f"effect '{one.name}' is given twice", hint="Give its parameters at one place"
                 )
-
-
-def parse_effects(words: Iterable[str]) -> tuple[FlownEffect, ...]:
-    """Read effects from the words of a command line; `none` alone means no effects.
-
-    Raises `ConfigError` for text that is no effect, and as `FlownEffect` does.
-    """
-    pieces = [piece for word in words for piece in re.split(r"[,\s]+", word) if piece]
-    if pieces == ["none"]:
-        return ()
-    tables: list[dict[str, Any]] = []
-    for piece in pieces:
-        head, *settings = piece.split(":")
-        if settings or "=" not in piece:
-            tables.append(_head(head))
-        elif tables:
-            settings = [piece]
-        else:
-            raise ConfigError(f"'{piece}' belongs to no effect", hint=f"Write {GRAMMAR}")
-        for setting in settings:
-            _set(tables[-1], setting)
-    effects = tuple(FlownEffect.parse(table) for table in tables)
-    check_once(effects)
-    return effects
-
-
-def _head(text: str) -> dict[str, Any]:
-    name, at, where = text.partition("@")
-    if not name or (at and not where):
-        raise ConfigError(f"cannot read the effect '{text}'", hint=f"Write {GRAMMAR}")
-    table: dict[str, Any] = {"id": name, "parameters": {}}
-    return table | ({"channel": where} if at else {})
-
-
-def _set(table: dict[str, Any], text: str) -> None:
-    """Add one `NAME=VALUE` to the table of an effect."""
-    name, equals, value = text.partition("=")
-    if not (name and equals and value):
-        raise ConfigError(f"effect '{table['id']}': cannot read '{text}'", hint=f"Write {GRAMMAR}")
-    if name == "window":
-        ends = value.split("-")
-        if len(ends) != 2:
-            raise ConfigError(
-                f"effect '{table['id']}': window has to be START-END in s, found '{value}'"
-            )
-        pair = tuple(_number(table["id"], name, end) for end in ends)
-        table.setdefault("windows_s", []).append(pair)
-    elif name == "flight":
-        table.setdefault("flights", []).append(_whole(table["id"], name, value))
-    elif name == "engine":
-        table.setdefault("engines", []).append(value)
-    elif name in table["parameters"]:
-        raise ConfigError(f"effect '{table['id']}': {name} is given twice")
-    else:
-        table["parameters"][name] = _number(table["id"], name, value)
-
-
-def _number(effect: str, name: str, text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise ConfigError(f"effect '{effect}': {name} has to be a number, found '{text}'")
-    return value
-
-
-def _whole(effect: str, name: str, text: str) -> int:
-    if not text.isdecimal():
-        raise ConfigError(f"effect '{effect}': {name} has to be a whole number, found '{text}'")
-    return int(text)
 
 
 def drawn_windows(
@@ -302,7 +221,6 @@ class FlightScenario(Section):
 
     @property
     def flight_count(self) -> int:
-        """Number of flights."""
         if self.flights is not None:
             return self.flights
         return _RECORDED_FLIGHTS if self.records else _FLIGHTS
@@ -316,7 +234,11 @@ class FlightScenario(Section):
     def planned(self, flight: int) -> Mapping[str, Mapping[str, FloatArray]]:
         """Plan flight number `flight` (from 1): engine -> channel -> `(time,)`."""
         if self.records:
-            sets = [each for each in self._data_sets() if each.flight == flight]
+            sets = [
+                each
+                for each in _recorded(self.records, self._number(0), self.plan.rate_hz)
+                if each.flight == flight
+            ]
             return {each.engine: _inside(each.channels) for each in sets}
         if self.card is not None:
             return plan_card(self.card, self.flight_plan(), self._number(flight))
@@ -327,9 +249,6 @@ class FlightScenario(Section):
         if self.records:
             return f"data_set_{2 * flight - 1 + SIDES.index(engine):02d}"
         return f"flight_{flight:02d}_{engine}"
-
-    def _data_sets(self) -> tuple[DataSet, ...]:
-        return _recorded(self.records or "", self._number(0), self.plan.rate_hz)
 
     def _number(self, flight: int) -> int:
         return int(self.stream(flight, "plan").generate_state(1, np.uint32)[0])

@@ -137,7 +137,6 @@ class LumpedEngine:
 
     @property
     def core(self) -> int:
-        """Column of the core spool."""
         return core_of(self.output_names)
 
     @cached_property
@@ -265,7 +264,6 @@ class LumpedEngine:
 
 
 def speeds_of(names: Sequence[str]) -> BoolArray:
-    """Which outputs are spool speeds."""
     return np.array([name in SPOOLS for name in names])
 
 

@@ -22,7 +22,7 @@ coefficients are corrected for altitude like steady-state data). An engine has o
 **Limited** (`LIMITED` per output). Each spool returns to its equilibrium by itself, no faster than
 the rates r of acceleration and of deceleration that the control's schedules allow:
 
-    tau  = tau0 (1 + |x / r|^n)^(1/n),   x = (w - v) / tau0,   n = 2
+    tau  = tau0 sqrt(1 + (x / r)^2),   x = (w - v) / tau0
     ln tau0 = p . z(v, w),   ln r = q . z(v, u),   u the other spool
     pull = -lead D / h - heat tau (change of soak) / h
            + (core + core_speed (v + w)) d_c + rate exp(rate_air thin + rate_speed v) dN2/dt
@@ -162,7 +162,6 @@ class Drive(NamedTuple):
     air: FloatArray
 
     def rows(self, part: slice | IntArray) -> Drive:
-        """Some of the rows."""
         return Drive(*(np.ascontiguousarray(column[part]) for column in self))
 
     def after(self, before: Drive) -> Drive:
@@ -219,15 +218,6 @@ def _bounded(speed: float) -> float:
 
 
 @compiled(exact=False)
-def stretch(x: float, n: float) -> float:
-    """Divisor s = (1 + |x|^n)^(1/n), n = 2 or infinity, that limits x / s to [-1, 1]."""
-    size = abs(x)
-    if n == 2.0:
-        return math.sqrt(1.0 + size * size)
-    return clip(size, 1.0, math.inf)
-
-
-@compiled(exact=False)
 def follow(d: float, pull: float, step: float, times: tuple[float, float]) -> float:
     """Deviation d after a step in which ss moves by `step`; `times` are tau and h."""
     tau, h = times
@@ -278,7 +268,8 @@ def limited_tau(
     tau0 = free_tau(p, o, air, v, w)
     columns = _UP if w > v else _DOWN
     r = math.exp(clip(quadratic(p, (_SIZE * o, columns), air, v, u), -5.0, UNLIMITED))
-    return tau0 * stretch((w - v) / (tau0 * r), 2.0)
+    x = (w - v) / (tau0 * r)
+    return tau0 * math.sqrt(1.0 + x * x)
 
 
 @compiled(exact=False)

@@ -21,14 +21,14 @@ class DynamicModel(Protocol):
     """A model that runs free from a start, and predicts some steps ahead."""
 
     @property
-    def inputs(self) -> int: ...  # noqa: D102
+    def inputs(self) -> int: ...
     @property
-    def outputs(self) -> int: ...  # noqa: D102
+    def outputs(self) -> int: ...
     @property
-    def output_scaling(self) -> Scaling: ...  # noqa: D102
-    def simulate(self, u: FloatArray, start: FloatArray) -> FloatArray: ...  # noqa: D102
-    def predict(self, u: FloatArray, y: FloatArray, steps: int) -> FloatArray: ...  # noqa: D102
-    def to_arrays(self) -> tuple[dict[str, Any], dict[str, FloatArray]]: ...  # noqa: D102
+    def output_scaling(self) -> Scaling: ...
+    def simulate(self, u: FloatArray, start: FloatArray) -> FloatArray: ...
+    def predict(self, u: FloatArray, y: FloatArray, steps: int) -> FloatArray: ...
+    def to_arrays(self) -> tuple[dict[str, Any], dict[str, FloatArray]]: ...
 
 
 _LEAD = 1000  # samples at the first input: twice the longest memory of a latent model
@@ -60,12 +60,10 @@ class Ensemble:
 
     @property
     def inputs(self) -> int:
-        """Number of inputs."""
         return self.members[0].inputs
 
     @property
     def outputs(self) -> int:
-        """Number of outputs."""
         return self.members[0].outputs
 
     @property
@@ -87,7 +85,6 @@ class Ensemble:
         return np.asarray(np.tensordot(np.array(self.weights), np.stack(runs), axes=1))
 
     def to_arrays(self) -> tuple[dict[str, Any], dict[str, FloatArray]]:
-        """Split into JSON-able structure and named arrays."""
         arrays: dict[str, FloatArray] = {}
         meta: list[dict[str, Any]] = []
         for k, member in enumerate(self.members):

@@ -261,12 +261,10 @@ class LatentModel:
 
     @property
     def inputs(self) -> int:
-        """Number of inputs."""
         return self.shape.inputs
 
     @property
     def outputs(self) -> int:
-        """Number of outputs."""
         return self.shape.outputs
 
     @cached_property
@@ -346,7 +344,6 @@ class LatentModel:
         return x
 
     def to_arrays(self) -> tuple[dict[str, Any], dict[str, FloatArray]]:
-        """Split into JSON-able structure and named arrays."""
         shape = self.shape
         meta = {
             "states": shape.states, "inputs": shape.inputs, "outputs": shape.outputs,

@@ -56,14 +56,12 @@ class NarxNet(nn.Module):
 
     @classmethod
     def of(cls, weights: Weights) -> Self:
-        """Build the module from arrays."""
         net = cls.drawn(weights.config, (weights.inputs, weights.outputs), seed=0)
         state = {name: torch.from_numpy(array.copy()) for name, array in weights.named().items()}
         net.load_state_dict(state)
         return net
 
     def weights(self) -> Weights:
-        """Copy the arrays out of the module."""
         state = {name: value.numpy().copy() for name, value in self.state_dict().items()}
         return Weights.of(self.config, state)
 

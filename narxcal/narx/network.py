@@ -50,12 +50,10 @@ class Weights:
 
     @property
     def outputs(self) -> int:
-        """Number of outputs."""
         return len(self.b2)
 
     @property
     def inputs(self) -> int:
-        """Number of inputs."""
         width = int(self.w1.shape[1])
         return (width - self.config.lags * self.outputs) // len(self.config.taps)
 
@@ -212,11 +210,9 @@ class Scaling:
         return {f"{name}.centre": self.centre, f"{name}.scale": self.scale}
 
     def down(self, values: FloatArray) -> FloatArray:
-        """To scaled units."""
         return (values - self.centre) / self.scale
 
     def up(self, values: FloatArray) -> FloatArray:
-        """Back to the channel's units."""
         return values * self.scale + self.centre
 
 
@@ -255,9 +251,7 @@ class TrainedNetwork(Protocol):
     inputs: int
     outputs: int
 
-    def weights(self) -> Weights:
-        """Return its arrays as they are now."""
-        ...
+    def weights(self) -> Weights: ...
 
 
 class NarxModel:
@@ -280,17 +274,14 @@ class NarxModel:
 
     @property
     def config(self) -> NarxConfig:
-        """Structure of the network."""
         return self.network.config
 
     @property
     def inputs(self) -> int:
-        """Number of inputs."""
         return self.network.inputs
 
     @property
     def outputs(self) -> int:
-        """Number of outputs."""
         return self.network.outputs
 
     @property

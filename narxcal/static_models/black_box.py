@@ -47,7 +47,6 @@ class Chebyshev:
 
     @property
     def size(self) -> int:
-        """Number of functions."""
         return self.degree + 1
 
     def values(self, x: FloatArray) -> FloatArray:
@@ -77,17 +76,14 @@ class Spline:
 
     @property
     def low(self) -> float:
-        """First node."""
         return self.nodes[0]
 
     @property
     def high(self) -> float:
-        """Last node."""
         return self.nodes[-1]
 
     @property
     def size(self) -> int:
-        """Number of nodes."""
         return len(self.nodes)
 
     def values(self, x: FloatArray) -> FloatArray:

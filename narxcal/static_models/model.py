@@ -130,7 +130,6 @@ class StaticModel:
         return replace(self, parameters=tuple(changed))
 
     def renamed(self, name: str) -> StaticModel:
-        """Same model under another name."""
         return replace(self, name=name)
 
 
@@ -178,10 +177,10 @@ class SteadyEngine(Protocol):
     """Steady-state engine model, for example the virtual engine."""
 
     @property
-    def input_names(self) -> tuple[str, ...]: ...  # noqa: D102
+    def input_names(self) -> tuple[str, ...]: ...
     @property
-    def output_names(self) -> tuple[str, ...]: ...  # noqa: D102
-    def outputs(self, inputs: ArrayLike) -> FloatArray: ...  # noqa: D102
+    def output_names(self) -> tuple[str, ...]: ...
+    def outputs(self, inputs: ArrayLike) -> FloatArray: ...
 
 
 def component_level(engine: SteadyEngine, output: str, inputs: Iterable[str]) -> StaticModel:

@@ -218,7 +218,6 @@ class SteadyTable:
 
     @classmethod
     def from_arrays(cls, meta: Mapping[str, Any], arrays: Arrays) -> Self:
-        """Rebuild a stored table."""
         what = "steady-state table"
         names = stored_names(meta, what)
         points, values = stored(arrays, "points", what), stored(arrays, "values", what)

@@ -7,17 +7,15 @@ one upload, which is atomic there, elsewhere under another name first.
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from narxcal.support.errors import ConfigError, DataError, NarxcalError
 from narxcal.support.files import atomic_write_bytes
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
 
 _SCHEMES = ("abfs", "az", "gcs", "gs", "memory", "s3", "s3a", "sftp")
 _ATOMIC = {"s3", "s3a", "gs", "gcs", "az", "abfs", "memory"}
@@ -63,7 +61,6 @@ class Folder:
         return Path(self._place[1]) if is_local(self.address) else None
 
     def below(self, name: str) -> Folder:
-        """The folder `name` in it."""
         return Folder(f"{self.address.rstrip('/')}/{name}")
 
     def sizes(self, patterns: Sequence[str]) -> dict[str, int]:
@@ -79,7 +76,6 @@ class Folder:
         return dict(sorted(found.items()))
 
     def has(self, name: str) -> bool:
-        """Whether there is a file of this name."""
         files, root = self._place
         with self._reported(name):
             return bool(files.isfile(f"{root}/{name}"))

@@ -1,10 +1,10 @@
 """Output files and folders: written whole or not at all, and never over what is not narxcal's.
 
 A file or folder is written under a temporary name next to its target, flushed to the disk, and then
-takes the target's name in one step, so that a full disk or a killed process leaves the former
-content or the new one. Temporaries are called `.NAME.PID-TOKEN.part`; where the system cannot
-exchange two folders in one step, the former one waits as `.NAME.PID-TOKEN.old`. `recover` puts
-right what a killed process left; every check of an output calls it first.
+takes the target's name, so that a full disk or a killed process leaves the former content or the
+new one. Temporaries are called `.NAME.TOKEN.part`; a folder that is replaced waits as
+`.NAME.TOKEN.old` for the new one to stand. `recover` puts right what a killed process left; every
+check of an output calls it first. Of commands that write one output one runs (`cli.app.locked`).
 
 Commands check where they are to write before they begin: `check_file`, `Results.check`.
 """
@@ -26,19 +26,14 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import IO, Any, TextIO
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from narxcal.support.errors import ConfigError
-from narxcal.support.system import exchange, folder_alive, is_abandoned, marked_alive
-
-if TYPE_CHECKING:
-    from os import PathLike
-    from typing import IO, Any, TextIO
-
-    from numpy.typing import ArrayLike
 
 STDOUT = Path("-")
 TIME_FORMAT = "%.15g"
@@ -67,7 +62,7 @@ def atomic_write_bytes(path: str | PathLike[str], data: bytes) -> None:
     part = _temporary(target, "part")
     with _becoming(target, part):
         target.parent.mkdir(parents=True, exist_ok=True)
-        with part.open("xb") as stream, marked_alive(stream.fileno()):
+        with part.open("xb") as stream:
             stream.write(data)
             _flush(stream)
 
@@ -103,7 +98,7 @@ def atomic_stream(path: str | PathLike[str], *, live: bool = False) -> Iterator[
         raise ConfigError("the file exists", file=part, hint=hint) from None
     except OSError as error:
         raise cannot_write(target, error) from None
-    with _becoming(target, part), stream, marked_alive(stream.fileno()):
+    with _becoming(target, part), stream:
         yield stream
         _flush(stream)
 
@@ -114,7 +109,7 @@ def atomic_folder(path: str | PathLike[str], replaced: Results | None = None) ->
 
     On any error, Ctrl-C included, the temporary folder is removed and `path` stays as it
     was. An existing folder with content is refused, unless it is a `replaced` one that holds
-    nothing else: that is exchanged for the new one in one step and deleted afterwards.
+    nothing else: that is deleted once the new one stands.
 
     Raises `ConfigError` as `check_output_folder`, and if the disk refuses the content.
     """
@@ -125,10 +120,9 @@ def atomic_folder(path: str | PathLike[str], replaced: Results | None = None) ->
     except OSError as error:
         raise cannot_write(target, error) from None
     try:
-        with folder_alive(part):
-            yield part
-            _flush_folder(part)
-            _replace_folder(part, target)
+        yield part
+        _flush_folder(part)
+        _replace_folder(part, target)
     except OSError as error:
         # What else fails inside the block (a log that cannot be read) is not about writing.
         if error.errno in _DISK_ERRORS:
@@ -139,27 +133,22 @@ def atomic_folder(path: str | PathLike[str], replaced: Results | None = None) ->
 
 
 def recover(path: str | PathLike[str]) -> None:
-    """Put right what killed processes of this machine left next to `path`.
+    """Put right what killed processes left next to `path`.
 
     A former folder is put back where its successor never took the name; else leftovers are deleted.
     """
     target = Path(path)
-    leftovers = re.compile(rf"\.{re.escape(target.name)}\.(\d+)-[0-9a-f]+\.(part|old)")
-    try:
-        found = sorted(target.parent.iterdir())
-    except OSError:
-        return
-    for entry in found:
-        named = leftovers.fullmatch(entry.name)
-        if named is None or not is_abandoned(entry, int(named[1])):
-            continue
-        if named[2] == "old" and not os.path.lexists(target):
-            with suppress(OSError):
+    leftovers = re.compile(rf"\.{re.escape(target.name)}\.[0-9a-f]+\.(part|old)")
+    with suppress(OSError):
+        for entry in sorted(target.parent.iterdir()):
+            named = leftovers.fullmatch(entry.name)
+            if named is None:
+                continue
+            if named[1] == "old" and not os.path.lexists(target):
                 entry.replace(target)
-        elif entry.is_dir():
-            shutil.rmtree(entry, ignore_errors=True)
-        else:
-            with suppress(OSError):
+            elif entry.is_dir():
+                shutil.rmtree(entry, ignore_errors=True)
+            else:
                 entry.unlink()
 
 
@@ -265,12 +254,14 @@ def check_writable(path: str | PathLike[str]) -> None:
 class Results:
     """A folder of results: what a command writes there, known by `document` and its `schema`.
 
-    `document` is the JSON file that every such folder has, `others` further names at its top.
+    `document` is the JSON file that every such folder has, `others` further names at its top, and
+    `pattern` a regular expression of names of which there may be any number.
     """
 
     schema: str
     document: str
     others: tuple[str, ...] = ()
+    pattern: str = ""
 
     def check(self, folder: Path) -> None:
         """Refuse, before any work is done, a folder with content that this command never wrote.
@@ -289,6 +280,7 @@ class Results:
             str(entry.relative_to(target))
             for entry in sorted(target.iterdir())
             if entry.name not in {self.document, *self.others, *folders}
+            and not re.fullmatch(self.pattern, entry.name)
         ]
         for name in folders:
             inner = target / name
@@ -460,9 +452,6 @@ def _replace_folder(part: Path, target: Path) -> None:
     if not target.exists() or not any(target.iterdir()):
         part.replace(target)
         return
-    if exchange(part, target):
-        shutil.rmtree(part, ignore_errors=True)
-        return
     former = part.with_suffix(".old")
     target.replace(former)
     try:
@@ -475,7 +464,7 @@ def _replace_folder(part: Path, target: Path) -> None:
 
 def _temporary(target: Path, suffix: str) -> Path:
     """Name that nobody else uses, in the folder of `target`; `recover` knows it."""
-    return target.with_name(f".{target.name}.{os.getpid()}-{secrets.token_hex(6)}.{suffix}")
+    return target.with_name(f".{target.name}.{secrets.token_hex(6)}.{suffix}")
 
 
 def _has_schema(file: Path, schema: str) -> bool:

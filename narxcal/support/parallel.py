@@ -13,6 +13,7 @@ from __future__ import annotations
 import hashlib
 import signal
 import warnings
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -21,16 +22,13 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from joblib import Parallel, delayed, parallel_config
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from narxcal.support.errors import ConfigError, NarxcalError
 from narxcal.support.files import versions
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
 
 S = TypeVar("S")
 T = TypeVar("T")
@@ -279,7 +277,6 @@ def identity() -> dict[str, str]:
 
 
 def words(found: dict[str, str]) -> str:
-    """Name versions in one line."""
     return ", ".join(f"{name} {each}" for name, each in found.items())
 
 

@@ -8,7 +8,7 @@ from typing import Protocol
 class Progress(Protocol):
     """Called with the steps done, the number of steps (0: unknown), and what is at work."""
 
-    def __call__(self, done: int, total: int, what: str = "", /) -> None: ...  # noqa: D102
+    def __call__(self, done: int, total: int, what: str = "", /) -> None: ...
 
 
 def silent(_done: int, _total: int, _what: str = "", /) -> None:

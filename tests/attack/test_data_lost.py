@@ -6,13 +6,11 @@ import sys
 import pytest
 
 from narxcal.cli import main
-from narxcal.support import system
+from narxcal.cli.app import locked
 from narxcal.support.errors import ConfigError
-from narxcal.support.files import Results, atomic_folder, atomic_stream, recover
-from narxcal.support.system import folder_alive, locked
+from narxcal.support.files import Results, atomic_folder
 
 RUN = Results("narxcal.x/", "x.json", ("arrays", "steady/*"))
-DEAD = 2**22 + 1  # above the largest process number of Linux
 
 
 def stored(folder):
@@ -47,30 +45,10 @@ def test_the_json_of_another_command_makes_no_folder_ours(tmp_path):
     assert sorted(each.name for each in tmp_path.iterdir()) == ["gap.json", "thesis.tex"]
 
 
-def test_what_another_container_writes_is_not_removed(tmp_path, monkeypatch):
-    """There, our process number is unknown: a lock says that somebody writes, not the number."""
-    monkeypatch.setattr(system, "is_running", lambda _: False)
-    with atomic_stream(tmp_path / "rows.csv") as stream:
-        stream.write("half")
-        recover(tmp_path / "rows.csv")
-    assert (tmp_path / "rows.csv").read_text(encoding="utf-8") == "half"
-    with atomic_folder(tmp_path / "run") as part:
-        (part / "x.json").touch()
-        recover(tmp_path / "run")
-    assert (tmp_path / "run" / "x.json").exists()
-    left = tmp_path / f".run.{DEAD}-0a.part"
-    left.mkdir()
-    with folder_alive(left):
-        recover(tmp_path / "run")
-        assert left.exists()
-    recover(tmp_path / "run")
-    assert not left.exists()
-
-
 def test_one_command_at_a_time_writes_an_output_and_others_fail_before_the_work(tmp_path, capsys):
     out = tmp_path / "deep" / "out.csv"
     code = (
-        "import sys; from pathlib import Path; from narxcal.support.system import locked\n"
+        "import sys; from pathlib import Path; from narxcal.cli.app import locked\n"
         "with locked(Path(sys.argv[1])):\n"
         "    print('locked', flush=True); sys.stdin.read()\n"
     )

@@ -16,7 +16,6 @@ from training.methods import write_checkpoint
 from training.network import TrainingState
 
 pytestmark = pytest.mark.slow
-HOW = pytest.mark.parametrize("exchange", [True, False])
 WHOLE_RUN = ["bundle.json", "weights.safetensors"]
 
 
@@ -34,13 +33,10 @@ def quietly(*words):
     assert main([*map(str, words), "--quiet"]) in {0, 1}
 
 
-@HOW
-def test_a_training_cut_off_anywhere_is_resumed_to_the_same_model(training, tmp_path, exchange):
+def test_a_training_cut_off_anywhere_is_resumed_to_the_same_model(training, tmp_path):
     run = tmp_path / "run"
     kills = 0
-    for event in killed_everywhere(
-        tmp_path, lambda: quietly(*training, run), exchange=exchange, power=True
-    ):
+    for event in killed_everywhere(tmp_path, lambda: quietly(*training, run), power=True):
         if (run / "bundle.json").exists():
             load_bundle(run)
         kills += event is not None
@@ -52,8 +48,7 @@ def test_a_training_cut_off_anywhere_is_resumed_to_the_same_model(training, tmp_
     assert kills >= 20
 
 
-@HOW
-def test_going_on_with_a_training_may_be_cut_off_anywhere(project, training, tmp_path, exchange):
+def test_going_on_with_a_training_may_be_cut_off_anywhere(project, training, tmp_path):
     """What Ctrl-C kept, its best network and its checkpoints, is there until the new model is."""
     run, kept = tmp_path / "run", tmp_path.with_name(f"{tmp_path.name}-kept")
     trained = load_bundle(project / "run")
@@ -64,7 +59,7 @@ def test_going_on_with_a_training_may_be_cut_off_anywhere(project, training, tmp
     shutil.copytree(kept, run)
     seen = set()
     for event in killed_everywhere(
-        tmp_path, lambda: quietly(*training, run, "--resume"), exchange=exchange, power=True
+        tmp_path, lambda: quietly(*training, run, "--resume"), power=True
     ):
         seen.add(load_bundle(run).record.interrupted)
         quietly(*training, run, "--resume")

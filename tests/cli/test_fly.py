@@ -33,6 +33,7 @@ def names(folder):
     return sorted(str(file.relative_to(folder)) for file in folder.rglob("*") if file.is_file())
 
 
+LAG = "[[effects]]\nid = 'sensor_lag'\nchannel = 'EGT_C'\nparameters = { tau_s = 1.5 }\n"
 ALONE = ("--jobs", "1")  # flights this short are flown before a second process has started
 LOGS = [f"flight_0{flight}_{side}.csv" for flight in (1, 2) for side in ("left", "right")]
 
@@ -54,8 +55,12 @@ def test_fly_writes_logs_and_truth_and_shows_a_table(narxcal, quick, tmp_path):
 
 
 def test_a_window_after_the_end_of_every_flight_is_told(narxcal, quick, tmp_path):
-    effects = "unlogged_switch:bleed=0.01,window=100-200,window=600-700"
-    words = ("--flights", "1", "--effects", effects, "--quiet")
+    quick.write_text(
+        QUICK + "[[effects]]\nid = 'unlogged_switch'\nparameters = { bleed = 0.01 }\n"
+        "windows_s = [[100.0, 200.0], [600.0, 700.0]]\n",
+        "utf-8",
+    )
+    words = ("--flights", "1", "--quiet")
     done = narxcal("fly", quick, "--out", tmp_path / "out", *words, *ALONE)
     assert (done.code, done.out) == (0, "")
     assert done.err == (
@@ -132,27 +137,19 @@ def test_options_take_the_place_of_what_the_file_says(narxcal, quick, tmp_path):
         "parameters = { offset = 1.0 }\n",
         "utf-8",
     )
-    done = narxcal(
-        "fly", quick, "--out", tmp_path / "a", "--effects", "sensor_lag@EGT_C:tau_s=1.5",
-        "sensor_drift@N2_pct:rate_per_h=2,flight=2", "--sensors", "perfect", "--json", *ALONE,
-    )  # fmt: skip
+    done = narxcal("fly", quick, "--out", tmp_path / "a", "--sensors", "perfect", "--json", *ALONE)
     document = json.loads(done.out)
-    assert [effect["id"] for effect in document["effects"]] == ["sensor_lag", "sensor_drift"]
+    assert document["effects"][0]["parameters"] == {"offset": 1.0}
     assert document["scenario"]["sensors"]["preset"] == "perfect"
     assert document["scenario"]["plan"]["rate_hz"] == 8.0
-    assert [len(log["effects"]) for log in document["logs"]] == [1, 1, 2, 2]
-    short = ("--flights", "1", "--json", *ALONE)
-    none = narxcal("fly", quick, "--out", tmp_path / "b", "--effects", "none", *short)
-    assert json.loads(none.out)["effects"] == []
-    as_said = narxcal("fly", quick, "--out", tmp_path / "c", *short)
-    assert json.loads(as_said.out)["effects"][0]["parameters"] == {"offset": 1.0}
+    assert [len(log["effects"]) for log in document["logs"]] == [1, 1, 1, 1]
+    as_said = narxcal("fly", quick, "--out", tmp_path / "c", "--flights", "1", "--json", *ALONE)
+    assert json.loads(as_said.out)["scenario"]["sensors"]["preset"] == "test_instrumentation"
 
 
 def test_effects_are_listed_with_size_and_reach(narxcal, quick, tmp_path):
-    done = narxcal(
-        "fly", quick, "--out", tmp_path / "out", "--effects",
-        "sensor_lag@EGT_C:tau_s=1.5,engine=left", *ALONE,
-    )  # fmt: skip
+    quick.write_text(f"{QUICK}{LAG}engines = ['left']\n", "utf-8")
+    done = narxcal("fly", quick, "--out", tmp_path / "out", *ALONE)
     assert "sensor_lag@EGT_C  tau_s 1.5 (on 2 of 4 logs)" in done.out
 
 
@@ -185,14 +182,6 @@ def test_a_folder_with_other_content_is_left_alone(narxcal, quick, tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (
-            ["--effects", "sensor_lagg@EGT_C:tau_s=1"],
-            "unknown effect 'sensor_lagg'. Did you mean 'sensor_lag'?",
-        ),
-        (
-            ["--effects", "sensor_lag@EGT_C:tau_s=1,flight=9"],
-            "effect 'sensor_lag@EGT_C' names flight 9, and there are 2",
-        ),
         (
             ["--sensors", "ideal"],
             (

@@ -34,7 +34,7 @@ class Runs(RuleBasedStateMachine):
         self.folder = Path(tempfile.mkdtemp())
         self.seeds, self.results, self.damaged = {}, {}, {}
         self.number = 0
-        evaluate.judge = self.judged
+        evaluate.report = self.judged
 
     def teardown(self):
         shutil.rmtree(self.folder)
@@ -42,7 +42,8 @@ class Runs(RuleBasedStateMachine):
     def judged(self, *_):
         document = {"schema": "narxcal.evaluate/1", "number": self.number}
         outcome = type("Outcome", (), {"exit_code": 0})
-        return evaluate.Report(None, outcome, document, f"<p>{self.number}</p>")
+        found = type("Judgement", (), {"outcome": outcome})
+        return found, document, f"<p>{self.number}</p>"
 
     def attempt(self, work, kill_at):
         """Run `work`; returns its exit code, or None where it was killed before its end."""
@@ -149,7 +150,7 @@ class Runs(RuleBasedStateMachine):
 @pytest.mark.slow
 def test_runs_in_any_order(training, project, monkeypatch, capsys):
     monkeypatch.setattr("os.fsync", lambda _: None)
-    monkeypatch.setattr(evaluate, "judge", evaluate.judge)  # put back at the end
+    monkeypatch.setattr(evaluate, "report", evaluate.report)  # put back at the end
     monkeypatch.setattr(evaluate, "show", lambda *_: None)
     monkeypatch.setattr(evaluate, "logs_for", lambda *_: [])
     trained = load_bundle(project / "run")

@@ -10,7 +10,7 @@ from data_prep.clock import Clock, is_clock
 from data_prep.config import LogsConfig
 from data_prep.log_file import LogFile
 from data_prep.reading import read_logs
-from data_prep.stamps import DAY_S, past, shared_interval, undo_rounding
+from data_prep.stamps import DAY_S, shared_interval, undo_rounding, unwrap_clock
 from data_prep.stream import GridStream
 from narxcal.support.errors import DataError
 
@@ -114,16 +114,16 @@ def test_a_day_added_at_midnight_keeps_the_steps_however_the_rows_arrive(
 ):
     true = start_s + step_s * np.arange(rows)
     shown = true % 86400.0
-    first, days = past(DAY_S, shown[:cut])
+    first, days = unwrap_clock(DAY_S, shown[:cut])
     before = float(first[-1])
-    second, days = past(DAY_S, shown[cut:], (before, days))
+    second, days = unwrap_clock(DAY_S, shown[cut:], (before, days))
     np.testing.assert_allclose(np.concatenate([first, second]), true, rtol=0, atol=1e-6)
     assert days == true[-1] // 86400.0 or shown[cut:].size == 0
 
 
 @pytest.mark.parametrize("stamps", [[86350.0, 5.0, 90000.0], [90000.0, 5.0], [50000.0, 10.0]])
 def test_what_is_no_clock_at_midnight_stays(stamps):
-    found, days = past(DAY_S, np.array(stamps))
+    found, days = unwrap_clock(DAY_S, np.array(stamps))
     if stamps[0] > 86400.0 or stamps[0] < 86340.0:
         np.testing.assert_array_equal(found, stamps)
         assert days == 0

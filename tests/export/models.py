@@ -132,7 +132,7 @@ def state_space():
 def with_interval(model):
     knots = np.array([0.5, 2.0, 2.0, 9.0])
     widths = np.outer(np.linspace(0.5, 3.0, 9), [1.0, 2.0, 2.5, 6.0])
-    return model.with_interval(HalfWidths((knots,) * 3, (widths,) * 3, 5))
+    return model.with_interval(HalfWidths((knots,) * 3, (widths,) * 3, 5, (0.3,) * 3))
 
 
 def identified(dynamics, steady=None):

@@ -70,7 +70,7 @@ def test_a_free_run_is_that_of_simulate(model, compiled):
     found = compiled.run(inputs)
     same(found, model.simulate(inputs))
     assert np.ptp(found[:, :3], axis=0).min() > 5.0
-    within = model.steady.inside(model.acting(inputs))
+    within = model.steady.inside(model.delayed_inputs(inputs))
     np.testing.assert_array_equal(found[:, -2], within)
     assert 0.2 < within.mean() < 0.9
     assert (found[:, -1] == 0.0).all()

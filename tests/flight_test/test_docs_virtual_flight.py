@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from narxcal.flight_test.plan import FlightPlan
-from narxcal.flight_test.scenario import PARAMETERS, FlightScenario, FlownEffect, parse_effects
+from narxcal.flight_test.scenario import PARAMETERS, FlightScenario, FlownEffect
 from narxcal.flight_test.sensors import PRESETS, ChannelSensor, SensorConfig
 
 ROOT = Path(__file__).parents[2]
@@ -43,8 +43,3 @@ def test_every_effect_stands_there_with_its_parameters_and_ranges(effect):
 def test_presets_and_shipped_scenarios_are_named():
     for name in (*PRESETS, *(f.stem[4:] for f in (ROOT / "configs").glob("fly_*.toml"))):
         assert f'"{name}"' in TEXT or f"`{name}`" in TEXT
-
-
-def test_the_commands_effects_can_be_flown():
-    (words,) = re.findall(r"--effects (\S+=\S+)", TEXT)
-    assert [effect.name for effect in parse_effects([words])] == ["spool_lag", "sensor_lag@EGT_C"]

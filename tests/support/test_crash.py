@@ -7,20 +7,18 @@ import pytest
 
 from narxcal.calibration import bundle as module
 from narxcal.calibration.bundle import Bundle, load_bundle, write_bundle
+from narxcal.cli.app import locked
 from narxcal.support.files import (
     Results,
     atomic_stream,
     atomic_write_bytes,
     check_file,
 )
-from narxcal.support.system import locked
 from tests.crash import killed_everywhere
 from tests.narxcal.calibration.test_bundle import Calibration
 
 RESULTS = Results("narxcal.evaluate/1", "evaluate.json", ("page.html",))
-HOW = pytest.mark.parametrize(
-    ("exchange", "power"), [(True, False), (True, True), (False, False), (False, True)]
-)
+HOW = pytest.mark.parametrize("power", [False, True])
 
 
 @pytest.fixture(autouse=True)
@@ -45,14 +43,12 @@ def write_folder(folder, text):
 
 
 @HOW
-def test_a_folder_of_results(tmp_path, exchange, power):
+def test_a_folder_of_results(tmp_path, power):
     out = tmp_path / "out"
     write_folder(out, "a")
     former = content(out)
     kills, seen = 0, set()
-    for event in killed_everywhere(
-        tmp_path, lambda: write_folder(out, "b"), exchange=exchange, power=power
-    ):
+    for event in killed_everywhere(tmp_path, lambda: write_folder(out, "b"), power=power):
         RESULTS.check(out)  # as the next command does first
         assert names(tmp_path) == ["out"]
         found = json.loads((out / "evaluate.json").read_text())["text"]
@@ -67,11 +63,9 @@ def test_a_folder_of_results(tmp_path, exchange, power):
 
 
 @HOW
-def test_a_new_folder(tmp_path, exchange, power):
+def test_a_new_folder(tmp_path, power):
     out = tmp_path / "deep" / "out"
-    for event in killed_everywhere(
-        tmp_path, lambda: write_folder(out, "b"), exchange=exchange, power=power
-    ):
+    for event in killed_everywhere(tmp_path, lambda: write_folder(out, "b"), power=power):
         RESULTS.check(out)
         if out.exists():
             assert names(out.parent) == ["out"]
@@ -81,7 +75,7 @@ def test_a_new_folder(tmp_path, exchange, power):
 
 @HOW
 @pytest.mark.parametrize("kind", ["bytes", "stream"])
-def test_a_file(tmp_path, kind, exchange, power):
+def test_a_file(tmp_path, kind, power):
     out = tmp_path / "rows.csv"
     out.write_bytes(b"a" * 5000)
 
@@ -95,7 +89,7 @@ def test_a_file(tmp_path, kind, exchange, power):
                 stream.write("b" * 100)
 
     seen = set()
-    for _ in killed_everywhere(tmp_path, write, exchange=exchange, power=power):
+    for _ in killed_everywhere(tmp_path, write, power=power):
         check_file(out, overwrite=True)
         assert names(tmp_path) == ["rows.csv"]
         seen.add(out.read_bytes())
@@ -119,7 +113,7 @@ def bundle_of(number, deck):
 
 @HOW
 @pytest.mark.parametrize("former", [False, True])
-def test_a_bundle_in_its_run_folder(tmp_path, monkeypatch, former, exchange, power):
+def test_a_bundle_in_its_run_folder(tmp_path, monkeypatch, former, power):
     """`train` writes into the run folder, next to its checkpoints."""
     monkeypatch.setattr(module, "calibration_from_arrays", Calibration.from_arrays)
     deck = Deck(tmp_path / "deck.fmu")
@@ -140,7 +134,7 @@ def test_a_bundle_in_its_run_folder(tmp_path, monkeypatch, former, exchange, pow
 
     reset()
     seen = set()
-    for event in killed_everywhere(tmp_path, write, exchange=exchange, power=power):
+    for event in killed_everywhere(tmp_path, write, power=power):
         if former or (run / "bundle.json").exists():
             seen.add(load_bundle(run).calibration.meta["number"])
         if event is not None:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from narxcal.cli.app import locked
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import (
     Results,
@@ -24,7 +25,6 @@ from narxcal.support.files import (
     recover,
     text_cell,
 )
-from narxcal.support.system import exchange, locked
 
 FULL = OSError(errno.ENOSPC, "No space left on device")
 
@@ -189,22 +189,7 @@ def test_our_own_folder_is_replaced_whole_on_request(tmp_path):
     assert names(tmp_path) == ["run"]
 
 
-def no_exchange(monkeypatch):
-    monkeypatch.setattr("narxcal.support.files.exchange", lambda *_: False)
-
-
-def test_without_an_exchange_of_the_system_the_folder_is_replaced_all_the_same(
-    tmp_path, monkeypatch
-):
-    no_exchange(monkeypatch)
-    run = written_run(tmp_path / "run")
-    with atomic_folder(run, RUN) as part:
-        (part / "new").touch()
-    assert (names(run), names(tmp_path)) == (["new"], ["run"])
-
-
 def test_a_failed_rename_puts_the_former_folder_back(tmp_path, monkeypatch):
-    no_exchange(monkeypatch)
     run = written_run(tmp_path / "run")
     real = Path.replace
 
@@ -243,41 +228,27 @@ def test_a_killed_run_leaves_no_folder_that_could_be_taken_for_good(tmp_path):
     assert run.exists()
 
 
-DEAD = 2**22 + 1  # above the largest process number of Linux
-
-
 @pytest.mark.parametrize("stands", [True, False])
 def test_what_a_killed_process_left_is_put_right_by_the_next_command(tmp_path, stands):
     """Killed between the two renames: the former folder comes back; after them, it goes."""
     run = tmp_path / "run"
-    former = written_run(tmp_path / f".run.{DEAD}-00aa.old")
-    (tmp_path / f".run.{DEAD}-00aa.part").mkdir()
-    mine = tmp_path / f".run.{os.getpid()}-00bb.part"
-    mine.mkdir()
+    former = written_run(tmp_path / ".run.00aa.old")
+    (tmp_path / ".run.00aa.part").mkdir()
+    (tmp_path / ".run.00bb.part").touch()
     if stands:
         run.mkdir()
         (run / "new").touch()
     recover(run)
     assert names(run) == (["new"] if stands else ["bundle.json", "old"])
     assert not former.exists()
-    assert names(tmp_path) == sorted([mine.name, "run"])
-
-
-def test_two_folders_are_exchanged_in_one_step(tmp_path):
-    for name in ("a", "b"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / name).touch()
-    if exchange(tmp_path / "a", tmp_path / "b"):
-        assert (names(tmp_path / "a"), names(tmp_path / "b")) == (["b"], ["a"])
-    with pytest.raises(FileNotFoundError):
-        exchange(tmp_path / "a", tmp_path / "nowhere")
+    assert names(tmp_path) == ["run"]
 
 
 def test_a_folder_is_written_by_one_process_at_a_time(tmp_path):
     code = (
         "import sys\n"
         "from pathlib import Path\n"
-        "from narxcal.support.system import locked\n"
+        "from narxcal.cli.app import locked\n"
         "with locked(Path(sys.argv[1])):\n"
         "    print('locked', flush=True)\n"
         "    sys.stdin.read()\n"

@@ -394,7 +394,7 @@ def test_overlay_of_unequal_shapes_is_refused():
 
 
 def test_rows_show_the_flight_times_of_the_rules_even_where_the_model_failed():
-    config = TransientsConfig(rules="icao")
+    config = TransientsConfig(rules="icao9625")
     row = assess(log(), np.full(900, 70.0), config=config)[0].row()
     assert row["Tt"]["flight"] == pytest.approx(np.log(10.0), abs=0.02)
     assert row["Tt"]["ok"] is False

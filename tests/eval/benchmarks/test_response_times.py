@@ -1,9 +1,9 @@
 """What the product is for: response times on flights that took no part, held to floors.
 
 Floors lie a little below what the shipped configurations reach: of the Citation with each flight
-left out (`python -m eval.bench --flights`), of the others on the flight that they hold out, of other
-people's recorders with one half of a set judged by a model of the other. Every channel of a shipped
-configuration is followed better than by its steady state. Whoever moves a floor says why.
+left out (`python -m eval.bench --flights`), of the others on the flight that they hold out, and of
+other people's recorders with one half of a set judged by a model of the other. Every channel of a
+shipped configuration is followed better than by its steady state. Whoever moves a floor says why.
 """
 
 from itertools import chain

@@ -26,7 +26,6 @@ from eval.report.page import (
     evaluate_page,
     prepare_page,
     worst_events,
-    write_page,
 )
 from eval.report.style import number
 from eval.report.view import LogView
@@ -348,13 +347,6 @@ def test_the_page_of_an_80_minute_log_at_32_hz_with_40_events_stays_small(header
     )  # fmt: skip
     html = evaluate_page(header, [long], Outcome(passed=False, headline="h"))
     assert len(html.encode()) < 5e6 / 4
-
-
-def test_a_page_is_written_whole_and_readable(tmp_path):
-    target = tmp_path / "new" / "page.html"
-    write_page(target, "<p>ρ</p>")  # noqa: RUF001 - not ASCII on purpose
-    assert target.read_text(encoding="utf-8") == "<p>ρ</p>"  # noqa: RUF001
-    assert [path.name for path in target.parent.iterdir()] == ["page.html"]
 
 
 def test_the_summary_picture_is_a_png(view):

@@ -33,10 +33,7 @@ def test_the_lever_leads_where_it_is_strong_and_nothing_is_stronger():
 
 def test_a_lever_that_is_beaten_is_not_glossed_over(data):
     swapped = [
-        replace(
-            one,
-            prepared=replace(one.prepared, log=one.log.with_channels({"TRA_deg": one.log["Mach"]})),
-        )
+        replace(one, log=one.log.with_channels({"TRA_deg": one.log["Mach"]}))
         for one in data.prepared
     ]
     study = correlation(replace(data, prepared=tuple(swapped)))

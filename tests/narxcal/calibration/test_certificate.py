@@ -1,13 +1,16 @@
 """Does a model settle at constant inputs: what is known to settle does, what hunts is found."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
+from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.calibration import DynamicCalibration
-from narxcal.calibration.certificate import Certificate, certificate_of, certify, settling
+from narxcal.calibration.certificate import Certificate, certify, settling
 from narxcal.calibration.identified import (
     EngineDynamics,
     IdentifiedCalibration,
@@ -15,6 +18,7 @@ from narxcal.calibration.identified import (
     StateSpaceDynamics,
 )
 from narxcal.calibration.members import Member
+from narxcal.calibration.run_record import RunRecord
 from narxcal.narx.config import NarxConfig
 from narxcal.narx.module import NarxNet
 from narxcal.narx.network import NarxModel, Scaling
@@ -149,16 +153,13 @@ def test_what_settles_stays_as_it_is():
     assert lost == ()
 
 
-def test_a_certificate_comes_back_from_its_row(caplog):
+def test_a_certificate_comes_back_from_its_row():
     model = network(lags(Form()), 30.0)
     found = certify(model)
     assert read_stored(Certificate, found.row(), "certificate") == found
-    assert certificate_of(model, found) == found
-    assert not caplog.records
-    assert certificate_of(model, None) == found
-    assert caplog.messages == [
-        f"trained by a version without certificates; tried now, the model {found.words}"
-    ]
+    assert Bundle(model).certificate == found
+    stored = replace(found, points=1)
+    assert Bundle(model, RunRecord(certificate=stored)).certificate == stored
     with pytest.raises(ModelError, match="the part 'certificate' has no 'swing'"):
         read_stored(
             Certificate, {k: v for k, v in found.row().items() if k != "swing"}, "certificate"

@@ -63,7 +63,7 @@ def test_a_run_is_that_over_inputs_as_they_act():
     acting = inputs.copy()
     acting[:, 0] = np.concatenate([np.full(3, inputs[0, 0]), inputs[:-3, 0]])
     plain = model.with_delay(None)
-    np.testing.assert_allclose(model.acting(inputs), acting)
+    np.testing.assert_allclose(model.delayed_inputs(inputs), acting)
     np.testing.assert_allclose(model.simulate(inputs), plain.simulate(acting))
     measured = plain.simulate(acting) + 1.0
     np.testing.assert_allclose(model.predict(inputs, measured), plain.predict(acting, measured))
