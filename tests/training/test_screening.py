@@ -194,8 +194,12 @@ def pair(seed, hotter):
     wander = 12.0 * np.sin(np.arange(ROWS) * DT_S / 90.0 + seed)
     found = []
     for k, side in enumerate(("left", "right")):
-        log, own = engine(seed), 0.5 * np.roll(NOISE, 100 * seed + 7 * k)
-        channels = {"EGT_C": log["EGT_C"] + wander + own + hotter[k]}
+        log = engine(seed)
+        channels = {
+            name: log[name] + 2e-3 * np.ptp(log[name]) * np.roll(NOISE, 100 * seed + 10 * k + i)
+            for i, name in enumerate(CHANNELS)
+        }
+        channels["EGT_C"] += wander + hotter[k]
         source = Source(f"{seed}.csv", f"sha-{seed}", side)
         found.append(replace(log.with_channels(channels), name=f"{seed}:{side}", source=source))
     return found
@@ -205,7 +209,7 @@ def test_a_slow_drift_shows_against_the_other_engine_of_the_flight():
     none = np.zeros(ROWS)
     bank = learn([log for seed in range(4) for log in pair(seed, (none, none))], CHANNELS)
     drift = np.zeros(ROWS)
-    drift[2000:4400] = np.linspace(0.0, 60.0, 2400)
+    drift[2000:4400] = np.linspace(0.0, 40.0, 2400)
     logs = pair(33, (drift, none))
     assert [one.findings for one in screened(bank, pair(34, (none, none)))] == [(), ()]
     left, right = screened(bank, logs)
