@@ -343,12 +343,16 @@ class Residuals:
         return self.bank.unit(name, self.expected[name])
 
     def apart_from(self, mate: Residuals | None) -> Residuals:
-        """R without what the other engine of the flight shows, too: air, manoeuvre and clock."""
-        shared = {} if mate is None else mate.agreed
-        apart = {
-            name: agreement([each, each - shared[name]]) if name in shared else each
-            for name, each in self.agreed.items()
-        }
+        """R without what the other engine of the flight shows, too: air, manoeuvre and clock.
+
+        It is zero where the other engine is further from what its channels say.
+        """
+        if mate is None:
+            return self
+        apart = dict(self.agreed)
+        for name in apart.keys() & mate.agreed.keys():
+            own, other = self.agreed[name], mate.agreed[name]
+            apart[name] = np.where(abs(own) < abs(other), 0.0, agreement([own, own - other]))
         return replace(self, agreed=apart)
 
     def level(self, name: str) -> float:
