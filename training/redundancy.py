@@ -244,15 +244,9 @@ class Bank:
             {name: self.late.get(name, ()) for name in self.channels}
         )
 
-    @property
-    def heights(self) -> dict[str, dict[int, Sequence[float]]]:
+    def heights(self, *, apart: bool = False) -> dict[str, dict[int, Sequence[float]]]:
         """Channel -> octave -> heights of the strongest steps of left-out logs."""
-        return self._by_octave(self.steps)
-
-    def _by_octave(
-        self, steps: Mapping[str, Mapping[str, Sequence[float]]]
-    ) -> dict[str, dict[int, Sequence[float]]]:
-        measured = [name for name in self.channels if is_measured(name)]
+        steps, measured = self.apart if apart else self.steps, filter(is_measured, self.channels)
         return {n: {int(k): each for k, each in steps.get(n, {}).items()} for n in measured}
 
     def step_limits(self, share: float, *, apart: bool = False) -> dict[str, dict[int, float]]:
@@ -262,9 +256,9 @@ class Bank:
         log shows, and is as in other flights.
         """
         limits = self.priors.steps.limits
-        found = limits(self.heights, share)
+        found = limits(self.heights(), share)
         if apart and any(self.apart.values()):
-            less = limits(self._by_octave(self.apart), share)
+            less = limits(self.heights(apart=True), share)
             for name, own in found.items():
                 own |= {k: min(limit, less[name].get(k, limit)) for k, limit in own.items()}
         return found
