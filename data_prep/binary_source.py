@@ -124,6 +124,10 @@ class ArraySource:
         fastest one, and for a `pace` that follows a growing file.
         """
         _refuse_growing(self.path, pace, "a file of arrays")
+        for name in names:
+            values = self._columns[name].values if name in self._columns else np.empty(0)
+            if np.iscomplexobj(values):
+                raise _no_numbers(self.path, name, values.dtype)
         table = self._rows({name: self._columns[name] for name in names if name in self._columns})
         rows, size = len(next(iter(table.values()))), (pace or Pace()).lines
         for start in range(0, rows, size):
@@ -285,30 +289,41 @@ def _table(tree: Mapping[str, Any], name: str, values: Any) -> Iterator[tuple[st
     stems = [name.removesuffix(end) for end in _TABLES if name.endswith(end)]
     known = next((tree[f"{stem}_var"] for stem in stems if f"{stem}_var" in tree), None)
     names = [] if known is None else [_text(each) for each in np.ravel(known)]
-    if len(names) == values.shape[1] and _real(values):
+    if len(names) == values.shape[1] and _numeric(values):
         for each, column in zip(names, values.T, strict=True):
-            yield each, _Column(np.asarray(column, dtype=np.float64))
+            yield each, _Column(_floats(column))
 
 
 def _vector(item: Any) -> FloatArray | None:
     """An array of numbers along one axis, as `(samples,)`; None for anything else."""
     values = np.asarray(item)
-    if not _real(values) or values.ndim == 0 or max(values.shape) < values.size or not values.size:
+    if (
+        not _numeric(values)
+        or values.ndim == 0
+        or max(values.shape) < values.size
+        or not values.size
+    ):
         return None
-    return np.asarray(values.ravel(), dtype=np.float64)
+    return _floats(values.ravel())
 
 
-def _real(values: Any) -> bool:
-    """Whether an array is of numbers with one part."""
-    return values.dtype == np.bool_ or bool(
-        np.issubdtype(values.dtype, np.number) and not np.iscomplexobj(values)
-    )
+def _floats(values: Any) -> FloatArray:
+    """Numbers as doubles; of two parts as they are, for `ArraySource.blocks` to refuse."""
+    return np.asarray(values, dtype=None if np.iscomplexobj(values) else np.float64)
+
+
+def _numeric(values: Any) -> bool:
+    return values.dtype == np.bool_ or bool(np.issubdtype(values.dtype, np.number))
 
 
 def _text(item: Any) -> str:
     """Text of a string, of bytes or of an array of one of them."""
     plain = np.ravel(item)[0] if np.size(item) else ""
     return (plain.decode("utf-8", "replace") if isinstance(plain, bytes) else str(plain)).strip()
+
+
+def _no_numbers(path: Path, name: str, kind: object) -> DataError:
+    return DataError(f"expected a column of numbers, found {kind}", file=path, channel=name)
 
 
 def arrow(path: Path) -> tuple[Any, Any]:
@@ -381,9 +396,7 @@ class ParquetSource:
             kind = self._file.schema_arrow.field(self._raw[name]).type
             kinds = self._numeric + (self._temporal if name == self.clock else ())
             if not any(fits(kind) for fits in kinds):
-                raise DataError(
-                    f"expected a column of numbers, found {kind}", file=self.path, channel=name
-                )
+                raise _no_numbers(self.path, name, kind)
         try:
             raw = [self._raw[name] for name in names]
             for batch in self._file.iter_batches((pace or Pace()).lines, columns=raw):

@@ -28,9 +28,6 @@ from narxcal.support.settings import Section
 
 Reason = Literal["frozen", "spiking", "out of range"]
 
-# Slack on the physical limits, in parts of their distance: an air-data computer on
-# the ground shows Mach -4e-6.
-_SLACK = 0.005
 # A jump is faster than this many ranges of the channel per second (the quickest measured:
 # 0.75, fuel flow of a geared turbofan at a slam) ...
 _JUMP_RATE = 1.5
@@ -79,10 +76,8 @@ def is_sensed(channel: Channel) -> bool:
 
 def out_of_range(channel: Channel, values: FloatArray) -> BoolArray:
     """Flag samples that no engine and no atmosphere can show."""
-    if np.isinf(channel.high - channel.low):
-        return np.isinf(values)
-    slack = _SLACK * (channel.high - channel.low)
-    return (values < channel.low - slack) | (values > channel.high + slack)
+    low, high = channel.limits
+    return (values < low) | (values > high)
 
 
 def jumps(log: Log, name: str) -> tuple[NDArray[np.intp], NDArray[np.intp], FloatArray]:

@@ -277,8 +277,11 @@ def open_text(path: Path) -> TextIO:
     except BaseException:
         binary.close()
         raise
-    marked = next((name for bom, name in _BOMS if head.startswith(bom)), "")
-    return io.TextIOWrapper(binary, encoding=marked or _unmarked(head), errors="replace")
+    bom, name = next(((bom, name) for bom, name in _BOMS if head.startswith(bom)), (b"", ""))
+    while bom and head.startswith(2 * bom):  # written by one program on top of another's
+        head = head[len(bom) :]
+        binary.seek(len(bom), io.SEEK_CUR)
+    return io.TextIOWrapper(binary, encoding=name or _unmarked(head), errors="replace")
 
 
 def _first_bytes(binary: BinaryIO) -> bytes:

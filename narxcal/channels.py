@@ -13,6 +13,10 @@ from typing import Literal
 
 from narxcal.support.errors import ConfigError, did_you_mean
 
+# Slack on the physical limits, in parts of their distance: an air-data computer on the ground shows
+# Mach -4e-6. Where none are known, what a recorder of single precision can hold is the limit.
+_SLACK, _WIDEST = 0.005, 3.4e38
+
 Role = Literal["time", "lever", "ambient", "switch", "output", "auxiliary"]
 
 
@@ -30,6 +34,12 @@ class Channel:
     low: float
     high: float
     meaning: str
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """The physical range with some slack; a value outside counts as not measured."""
+        slack = _SLACK * (self.high - self.low)
+        return max(self.low - slack, -_WIDEST), min(self.high + slack, _WIDEST)
 
 
 _TABLE = (

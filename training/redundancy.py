@@ -21,6 +21,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Any, Self
 
 import numpy as np
@@ -41,7 +42,7 @@ from narxcal.support.arrays import (
 from narxcal.support.errors import ModelError
 from narxcal.support.settings import read_stored
 from training.levels import DELAY_STEP_S, delays_between
-from training.scatter import BLOCK_S, PRIORS, Blocks, Priors, Scatter
+from training.scatter import BLOCK_S, LEAST_STRETCH_S, PRIORS, Blocks, Priors, Scatter
 
 STEP_S = 1.0
 _LAGS_S = (2.0, 8.0, 30.0)
@@ -141,9 +142,11 @@ class Bank:
     | `models` | target -> source -> coefficients b |
     | `level` | u of the logs that were left out |
     | `steps` | octave -> heights of the strongest steps of these logs (`training.scatter`) |
+    | `apart` | likewise, without what the other engine of the flight shows; empty without one |
     | `stretch` | k -> (mean, scatter) of ln r(k), see `log_ratio` |
     | `delays`, `late` | mean delay in s, target -> source; how much later logs were |
-    | `noise`, `updates` | largest noise level, and update interval in s, of each channel |
+    | `noise` | of each channel in the noisiest minute of each log |
+    | `updates` | largest update interval of each channel in s |
     | `logs` | number of recordings of one engine |
     | `used` | the channels that the model uses |
     | `priors` | what sound logs show in general; not stored, it is that of the version |
@@ -158,10 +161,11 @@ class Bank:
     models: Mapping[str, Mapping[str, tuple[float, ...]]] = field(default_factory=dict)
     level: Mapping[str, Sequence[float]] = field(default_factory=dict)
     steps: Mapping[str, Mapping[str, Sequence[float]]] = field(default_factory=dict)
+    apart: Mapping[str, Mapping[str, Sequence[float]]] = field(default_factory=dict)
     stretch: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     delays: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     late: Mapping[str, Sequence[float]] = field(default_factory=dict)
-    noise: Mapping[str, float] = field(default_factory=dict)
+    noise: Mapping[str, Sequence[float]] = field(default_factory=dict)
     updates: Mapping[str, float] = field(default_factory=dict)
     logs: int = 0
     used: tuple[str, ...] = ()
@@ -195,11 +199,12 @@ class Bank:
         names = set(self.channels)
         own = (self.centre, self.spread, self.low, self.high, self.level, self.steps, self.late)
         every = all(names <= set(part) for part in (*own, self.cells, self.models))
+        steps = [*self.steps.values(), *self.apart.values()]
         return (
             every
             and names | set(self.used) <= set(CHANNELS)
             and all(size > 0.0 for size in self.spread.values())
-            and all(k.isdecimal() and seen for by in self.steps.values() for k, seen in by.items())
+            and all(k.isdecimal() and x for by in steps for k, x in by.items())
             and all(len(cell) == _CELL.size for each in self.cells.values() for cell in each)
             and all({*filter(is_measured, names - {i})} <= set(self.models[i]) for i in names)
             and all(len(b) == FEATURES for row in self.models.values() for b in row.values())
@@ -237,15 +242,33 @@ class Bank:
             {name: self.late.get(name, ()) for name in self.channels}
         )
 
-    @cached_property
-    def heights(self) -> dict[str, dict[int, Sequence[float]]]:
+    def heights(self, *, apart: bool = False) -> dict[str, dict[int, Sequence[float]]]:
         """Channel -> octave -> heights of the strongest steps of left-out logs."""
-        measured = [name for name in self.channels if is_measured(name)]
-        return {n: {int(k): each for k, each in self.steps.get(n, {}).items()} for n in measured}
+        steps, measured = self.apart if apart else self.steps, filter(is_measured, self.channels)
+        return {n: {int(k): each for k, each in steps.get(n, {}).items()} for n in measured}
 
-    def step_limits(self, share: float) -> dict[str, dict[int, float]]:
-        """Channel -> octave -> height of a step that one more log exceeds with `share`."""
-        return self.priors.steps.limits(self.heights, share)
+    def step_limits(self, share: float, *, apart: bool = False) -> dict[str, dict[int, float]]:
+        """Channel -> octave -> height of a step that one more log exceeds with `share`.
+
+        `apart` is of what the other engine of the flight does not show: it is less than all that a
+        log shows, and is as in other flights.
+        """
+        limits = self.priors.steps.limits
+        found = limits(self.heights(), share)
+        if apart and any(self.apart.values()):
+            less = limits(self.heights(apart=True), share)
+            for name, own in found.items():
+                own |= {k: min(limit, less[name].get(k, limit)) for k, limit in own.items()}
+        return found
+
+    def noise_limits(self, share: float) -> dict[str, float]:
+        """Channel -> noise that the noisiest minute of one more log exceeds with `share`.
+
+        It scatters as the heights of steps do, about what the logs show.
+        """
+        seen = {name: {0: each} for name, each in self.noise.items() if each}
+        found = replace(self.priors.steps, logs=0.0).limits(seen, share)
+        return {name: each[0] for name, each in found.items()}
 
     def lateness(self, found: Mapping[tuple[str, str], float], name: str) -> float:
         """By how much a channel is later than usual in s, as others agree; NaN of fewer than 2."""
@@ -310,6 +333,19 @@ class Residuals:
     def scale(self, name: str) -> FloatArray:
         """Unit of r of a channel: d, corrected."""
         return self.bank.unit(name, self.expected[name])
+
+    def apart_from(self, mate: Residuals | None) -> Residuals:
+        """R without what the other engine of the flight shows, too: air, manoeuvre and clock.
+
+        It is zero where the other engine is further from what its channels say.
+        """
+        if mate is None:
+            return self
+        apart = dict(self.agreed)
+        for name in apart.keys() & mate.agreed.keys():
+            own, other = self.agreed[name], mate.agreed[name]
+            apart[name] = np.where(abs(own) < abs(other), 0.0, agreement([own, own - other]))
+        return replace(self, agreed=apart)
 
     def level(self, name: str) -> float:
         """U of a channel: the median of r; NaN where nothing can be compared."""
@@ -404,6 +440,15 @@ def recording_of(log: Log) -> tuple[str, str]:
     return log.source.file or log.name, log.source.engine
 
 
+def mate_of(log: Log, logs: Sequence[Log]) -> Log | None:
+    """The log of another engine at the same times."""
+    for one in logs:
+        apart = one.source.engine != log.source.engine and one.source.file == log.source.file
+        if apart and len(one) == len(log) and one.time_s[0] == log.time_s[0]:
+            return one
+    return None
+
+
 def excess(usual: Mapping[str, float], found: Delays, name: str) -> float:
     """By how much a channel is later than the `usual` s behind others, as these agree; else NaN."""
     parts = [np.array([found[name, j] - each]) for j, each in usual.items() if (name, j) in found]
@@ -416,9 +461,20 @@ def delays_of(log: Log, names: Sequence[str]) -> dict[tuple[str, str], float]:
     return delays_between({name: fine.values[name] for name in names}, fine.step_s)
 
 
-def noise_of(log: Log, name: str) -> float:
-    """White noise of a channel: what smoothing removed, or what is left."""
-    return float(np.hypot(np.sqrt(log.noise.get(name, 0.0)), noise_level(log[name])))
+def minutes_of(log: Log) -> IntArray:
+    """Rows at which stretches of `LEAST_STRETCH_S` begin, and the end of the last."""
+    count = max(1, int(len(log) * log.dt_s / LEAST_STRETCH_S))
+    return np.linspace(0, len(log), count + 1).astype(np.int64)
+
+
+def noise_of(log: Log, name: str) -> FloatArray:
+    """White noise of a channel by minute: what smoothing removed, and what is left of it.
+
+    What is left is seen between samples half a second apart, which no average joins.
+    """
+    every, rows, values = max(1, round(0.5 / log.dt_s)), minutes_of(log), log[name]
+    left = [noise_level(values[a:b:every]) for a, b in pairwise(rows.tolist())]
+    return np.hypot(np.sqrt(log.noise.get(name, 0.0)), left)
 
 
 STRETCHES = (0.5, 2.0)

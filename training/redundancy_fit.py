@@ -34,6 +34,7 @@ from training.redundancy import (
     delays_of,
     excess,
     log_ratio,
+    mate_of,
     noise_of,
     recording_of,
 )
@@ -111,18 +112,24 @@ class Pool:
                     ratios[k].append(log_ratio(found, k))
         logs = [one.log for one in kept]
         names, whole = self.scaling.channels, _longest(kept)
+        own = [one.log for one in shown]
+        mates = [mate_of(log, own) for log in own]
+        apart = [
+            one.apart_from(left_out[own.index(mate)])
+            for one, mate in zip(left_out, mates, strict=True)
+            if mate is not None
+        ]
         of_whole = [one for one, part in zip(left_out, shown, strict=True) if part in whole]
         return replace(
             self._fitted(kept),
             level={name: _known([one.level(name) for one in of_whole]) for name in names},
             steps={name: _heights([blocks_of(one, name) for one in left_out]) for name in names},
+            apart={name: _heights([blocks_of(one, name) for one in apart]) for name in names},
             stretch={str(k): _mean_and_scatter(each) for k, each in ratios.items()},
             delays=_mean_delays([one.delays for one in whole], names),
             late=_lateness([one.delays for one in whole], names),
             noise={
-                name: max(
-                    (noise_of(log, name) for log in logs if log.recorded([name])), default=0.0
-                )
+                name: [float(noise_of(log, name).max()) for log in logs if log.recorded([name])]
                 for name in names
             },
             updates=_longest_updates(logs),

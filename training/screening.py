@@ -32,11 +32,12 @@ from training.redundancy import (
     Bank,
     Residuals,
     Signals,
-    agreement,
     blocks_of,
     delays_of,
     is_measured,
     log_ratio,
+    mate_of,
+    minutes_of,
     moving_mean,
     noise_of,
     recording_of,
@@ -66,15 +67,6 @@ def screened(bank: Bank | None, logs: Sequence[Log]) -> list[Log]:
     return [
         replace(log, findings=(*log.findings, *more)) for log, more in zip(logs, found, strict=True)
     ]
-
-
-def _mate(log: Log, logs: Sequence[Log]) -> Log | None:
-    """The log of another engine at the same times."""
-    for one in logs:
-        apart = one.source.engine != log.source.engine and one.source.file == log.source.file
-        if apart and len(one) == len(log) and one.time_s[0] == log.time_s[0]:
-            return one
-    return None
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,18 +110,14 @@ class _Subject:
         """Heights of each octave beyond which steps within the log are findings."""
         return self.bank.step_limits(self.share)
 
+    @cached_property
+    def apart_limits(self) -> dict[str, dict[int, float]]:
+        """Likewise, of steps that the other engine of the flight does not show."""
+        return self.bank.step_limits(self.share, apart=self.mate is not None)
+
     def residuals(self) -> Residuals:
         """R without what the other engine of the flight shows, too."""
-        found = residuals(self.bank, self.signals, self.channels)
-        if self.mate is None:
-            return found
-        common = {
-            name: agreement([each, each - self.mate.agreed[name]])
-            if name in self.mate.agreed
-            else each
-            for name, each in found.agreed.items()
-        }
-        return replace(found, agreed=common)
+        return residuals(self.bank, self.signals, self.channels).apart_from(self.mate)
 
     def with_finding(self, found: Finding) -> _Subject:
         """Add a finding; its stretch is compared with nothing any more."""
@@ -147,7 +135,7 @@ def _subject(bank: Bank, log: Log, logs: Sequence[Log]) -> _Subject | None:
     signals = Signals.of(clean)
     if len(channels) < 2 or len(signals.time_s) * signals.step_s < 2.0 * LEAST_STRETCH_S:
         return None
-    mate, other = _mate(log, logs), None
+    mate, other = mate_of(log, logs), None
     if mate is not None:
         shared = tuple(name for name in channels if mate.recorded([name]))
         other = (
@@ -169,7 +157,8 @@ def _examine(subject: _Subject) -> tuple[Finding, ...]:
     """What the bank shows of one prepared log with its own clock, units and order of channels."""
     found = [*_seldom(subject), *_noisy(subject), *_late(subject)] if subject.whole else []
     # Of a channel with other dynamics all the log no stretch is at fault.
-    suspects = [n for n in subject.sensed if all(n != each.channel for each in found)]
+    whole = {each.channel for each in found if not each.local}
+    suspects = [name for name in subject.sensed if name not in whole]
     for name in suspects:
         subject = _motionless(subject, name)
     for _ in range(_MOST_STRETCHES):
@@ -177,6 +166,8 @@ def _examine(subject: _Subject) -> tuple[Finding, ...]:
         subject = _stretch(subject, suspects)
         if len(subject.findings) == before:
             break
+    stretches = {each.channel for each in subject.findings}
+    found = [each for each in found if not (each.local and each.channel in stretches)]
     found = [*_alone(subject.findings), *found]
     if subject.whole and not any(each.kind in {"held", "late", "stuck"} for each in found):
         found += _level(subject)
@@ -209,7 +200,7 @@ def _stretch(subject: _Subject, channels: Sequence[str]) -> _Subject:
         if len(found.errors[name]) < 2:
             continue  # of two channels neither can be said to be wrong
         blocks = blocks_of(found, name)
-        step = strongest_step(blocks, subject.step_limits[name])
+        step = strongest_step(blocks, subject.apart_limits[name])
         parts = _at_fault(subject, name, blocks, step)
         if parts and (best is None or step.excess > best[0]):
             best = step.excess, name, blocks, parts
@@ -236,7 +227,7 @@ def _at_fault(subject: _Subject, name: str, blocks: Blocks, step: Step) -> list[
     # A fault once proven, what is nearer to it than to the rest, or as far from that as no stretch
     # of a sound log is, is no longer used.
     wrong_level = levels[0] if abs(levels[0]) > abs(levels[1]) else levels[1]
-    least = min(subject.step_limits[name].values())
+    least = min(subject.apart_limits[name].values())
     far = (blocks.r - right) * np.sign(wrong_level) > min(0.5 * abs(wrong_level - right), least)
     for start, stop in spans(wrong):
         first, last = _extended(far, start, stop)
@@ -438,18 +429,21 @@ def _seldom(subject: _Subject) -> Iterator[Finding]:
             yield _whole(subject.log, "held", name, text, (every_s, "s"))
 
 
-_NOISY = 6.0
-
-
 def _noisy(subject: _Subject) -> Iterator[Finding]:
-    """Channels with much more noise than in any training log, and more than their scatter."""
+    """Minutes of channels with more noise than sound logs have, and more than their scatter."""
+    limits, time_s = subject.bank.noise_limits(subject.share), subject.log.time_s
     for name in subject.sensed:
-        own, usual = noise_of(subject.log, name), subject.bank.noise.get(name, 0.0)
         matters = 0.5 * subject.bank.usual[name] * abs(subject.bank.centre[name])
-        if own > max(_NOISY * usual, matters):
-            unit = CHANNELS[name].unit
-            text = f"noise of {own:.2g} {unit}, {usual:.2g} in the training logs"
-            yield _whole(subject.log, "noise", name, text, (own, unit))
+        own, limit = noise_of(subject.log, name), max(limits.get(name, np.inf), matters)
+        for start, stop in spans(own > limit):
+            size, unit = float(np.median(own[start:stop])), CHANNELS[name].unit
+            text = f"noise of {size:.2g} {unit}, sound logs have less than {limit:.2g}"
+            found = _whole(subject.log, "noise", name, text, (size, unit))
+            if stop - start < len(own):
+                rows = minutes_of(subject.log)[[start, stop]] - [0, 1]
+                start_s, end_s = map(float, time_s[rows])
+                found = replace(found, start_s=start_s, end_s=end_s, origin_s=float(time_s[0]))
+            yield found
 
 
 _LEAST_DELAY_S = 0.4

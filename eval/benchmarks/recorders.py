@@ -249,7 +249,7 @@ class Shown:
         if bank is None:
             return cls({}, {}, {})
         levels = {name: each for name, each in bank.level.items() if is_measured(name)}
-        return cls(levels, bank.late, bank.heights)
+        return cls(levels, bank.late, bank.heights())
 
 
 def most_likely(shown: Sequence[Shown]) -> Priors:

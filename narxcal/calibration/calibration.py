@@ -26,6 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 from narxcal.calibration.delay import DelayLine, TransportDelay
 from narxcal.calibration.members import Member, Members, MembersState
 from narxcal.calibration.register import Parts, Register, Sample, stacked
+from narxcal.channels import described
 from narxcal.intervals import Band, HalfWidths
 from narxcal.lumped.engine import LumpedEngine
 from narxcal.narx.network import AT_START, NarxModel
@@ -230,9 +231,10 @@ class Calibration(ABC):
     ) -> FloatArray | Band:
         """Free run over `inputs` (time, n_in); returns (time, n_out).
 
-        `start` (n_out,) are measured outputs at the first sample; where it is None or NaN the
-        engine starts in equilibrium. With `interval`, such as 0.9, a `Band` that covers this share
-        of samples. Raises `DataError` for inputs that are not finite, `ModelError` as `half_width`.
+        `start` (n_out,) are measured outputs at the first sample; where it is None, NaN or
+        physically impossible the engine starts in equilibrium. With `interval`, such as 0.9, a
+        `Band` that covers this share of samples. Raises `DataError` for inputs that are not finite,
+        `ModelError` as `half_width`.
         """
         outputs = self._simulated(inputs, start)
         if interval is None:
@@ -385,7 +387,8 @@ class Calibration(ABC):
                 f"expected start values of shape ({len(ss)},) ({', '.join(self.output_names)}), "
                 f"found {given.shape}"
             )
-        return np.where(np.isfinite(given), ss - given, 0.0)
+        low, high = np.transpose([described(name).limits for name in self.output_names])
+        return np.where((given >= low) & (given <= high), ss - given, 0.0)
 
 
 class DynamicCalibration(Calibration):

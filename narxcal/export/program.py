@@ -185,12 +185,15 @@ class Program:
         yield f"static const part parts[] = {{\n{body}\n}};"
 
     def _limits(self) -> Iterator[str]:
-        """Limits of the inputs, their start, and the tables of the interval."""
+        """Limits of inputs and measured outputs, where inputs start, tables of the interval."""
         model, count = self.model, len(self.model.input_names)
         reach = model.reach or Envelope(np.full(count, -np.inf), np.full(count, np.inf))
         yield _array("reach_low", reach.low)
         yield _array("reach_high", reach.high)
         yield _array("start_inputs", np.array(self.start))
+        measured = np.transpose([described(name).limits for name in model.output_names])
+        yield _array("measured_low", measured[0])
+        yield _array("measured_high", measured[1])
         none = [np.empty(0)] * len(model.output_names)
         knots, widths = none, none
         if model.interval is not None:

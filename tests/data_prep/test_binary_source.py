@@ -158,6 +158,8 @@ def test_columns_of_different_lengths_and_damaged_files_are_refused(tmp_path):
     assert error_of(path) == (
         "FILE: columns of one table differ in rows: t 200, N1 200, EGT 200, ALT 50"
     )
+    savemat(path, {"t": TIME_S, **VALUES, "N1": VALUES["N1"] + 1j})
+    assert error_of(path) == "FILE, channel N1: expected a column of numbers, found complex128"
     path.write_bytes(path.read_bytes()[:2000])
     assert "FILE: the file cannot be read (" in error_of(path)
     savemat(path, {"name": "a text"})

@@ -234,9 +234,11 @@ def test_lines_of_comments_are_skipped_wherever_they_stand(tmp_path):
     np.testing.assert_array_equal(log["EGT_C"], 500.0 + np.arange(40))
 
 
+@pytest.mark.parametrize("mark", ["", "\ufeff"])  # before that of an encoding: a second one
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "latin-1", "cp1252", "utf-16"])
-def test_a_degree_sign_in_the_header_is_one_in_any_encoding(tmp_path, encoding):
-    path = write(tmp_path, f"t,fan,itt °C\n{ROWS}", encoding)
+def test_a_degree_sign_in_the_header_is_one_in_any_encoding(tmp_path, encoding, mark):
+    mark = mark if encoding.startswith("utf") else ""
+    path = write(tmp_path, f"{mark}t,fan,itt °C\n{ROWS}", encoding)
     named = config(EGT_C={"column": "itt °C"})
     (log,) = read_logs(path, named)
     np.testing.assert_array_equal(log["EGT_C"], 500.0 + np.arange(40))

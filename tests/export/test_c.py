@@ -85,6 +85,10 @@ def test_a_run_begins_at_measured_outputs_and_again_in_mid_flight(model, compile
     inputs = models.log()
     measured = model.steady.outputs(inputs[0]) + np.array([2.0, np.nan, 20.0])
     same(compiled.run(inputs, measured), model.simulate(inputs, measured))
+    nothing = compiled.run(inputs)
+    for impossible in (1e308, -1e308, np.inf, 2e4):
+        np.testing.assert_array_equal(compiled.run(inputs, np.full(3, impossible)), nothing)
+        same(nothing, model.simulate(inputs, np.full(3, impossible)))
     restarted = compiled.run(inputs[200:])
     same(restarted, model.simulate(inputs[200:]))
 

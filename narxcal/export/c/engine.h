@@ -31,7 +31,8 @@ typedef struct {
 /* Begin in equilibrium at the inputs; state->now has the outputs. */
 void narxcal_init(narxcal_state *state, const double *inputs);
 
-/* Begin with an engine of the list above at measured outputs; NaN, or NULL for all: equilibrium. */
+/* Begin with an engine of the list above at measured outputs; in equilibrium where one is NaN or
+ * outside its physical range, or NULL is given. */
 void narxcal_start(narxcal_state *state, int engine, const double *inputs, const double *measured);
 
 /* Advance by NARXCAL_DT_S to the sample of these inputs, and give its outputs. */

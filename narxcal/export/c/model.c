@@ -51,7 +51,8 @@ void narxcal_start(narxcal_state *state, int engine, const double *inputs, const
     state->engine = engine >= 0 && engine < NARXCAL_ENGINES ? engine : 0;
     const sample now = taken(state, inputs, 1);
     for (int o = 0; o < NARXCAL_OUTPUTS; o++)
-        d[o] = measured && isfinite(measured[o]) ? now.ss[o] - measured[o] : 0.0;
+        d[o] = measured && measured[o] >= measured_low[o] && measured[o] <= measured_high[o]
+            ? now.ss[o] - measured[o] : 0.0;
     for (size_t k = 0; k < sizeof parts / sizeof *parts; k++)
         if (parts[k].start) parts[k].start(parts[k].p, &now, d, state->x + parts[k].at);
     shown(state, &now, d);
