@@ -313,7 +313,7 @@ class Frame:
         toward, whole = (self._metric.gram(rows, d)[..., 0] for rows in (self._n, d))
         grams = replace(self.grams, nd=toward, dd=whole[:, 0])
         fits = [solve(grams, each, begin=tau, rounds=1) for each in self._columns(nodes, d)]
-        return min(float(fit.rss.sum() / tau + fit.nu @ fit.nu) ** 0.5 for fit in fits)
+        return float(min(fit.rss.sum() / tau + fit.nu @ fit.nu for fit in fits) ** 0.5)
 
     def bare(self) -> Frame:
         """The same without differences of builds: offsets and starts alone are nuisances."""

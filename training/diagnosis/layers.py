@@ -31,6 +31,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.special import expit, log_softmax, logit, logsumexp, ndtri
 
+from narxcal.effects.library import LIBRARY, RARE
 from narxcal.effects.steady import UnloggedSwitch
 from narxcal.intervals import LEVEL
 from narxcal.support.arrays import FloatArray
@@ -41,7 +42,6 @@ from training.diagnosis.fit import Frame, Single, solve
 from training.diagnosis.metric import Metric, Record
 from training.diagnosis.nuisances import Nuisances
 
-_SCALES: Final = ("sensor_gain", "driver_gain")
 _RARE: Final = -1.6  # one to five
 # A parameter costs evidence of the whole record, and log ratios are per sample: sizes count by
 # effective samples, in such units that five are 1 in the calibration's flights of eight minutes.
@@ -91,9 +91,9 @@ def log_odds(chance: float) -> float:
 def prior(name: str) -> float:
     """Log odds of an effect before anything is seen, against one of the calibration's catalogue.
 
-    No case there has a wrong scale; a scale is rarer than an offset.
+    No case there has a wrong scale or air data; a scale is rarer than an offset.
     """
-    return _RARE if name.partition(":")[0] in _SCALES else 0.0
+    return _RARE if LIBRARY.get(name.partition(":")[0]) in RARE else 0.0
 
 
 def features(frame: Frame, singles: Sequence[Single]) -> tuple[FloatArray, FloatArray]:

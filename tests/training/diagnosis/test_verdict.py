@@ -89,6 +89,19 @@ def test_what_is_left_beyond_noise_and_build_is_not_nothing_and_has_a_place(flig
     assert re.fullmatch(f"not in the library: a steady EGT error{words}", found.reason)
 
 
+@pytest.mark.parametrize(("signs", "kind"), [((1, 1, 1, 1), "unknown"), ((1, -1, 1, -1), "none")])
+def test_of_this_very_engine_what_differs_from_flight_to_flight_is_noise(flights, signs, kind):
+    wave = 30.0 * np.sin(flights.y[..., 0] / 8.0) * np.array(signs)[:, None]
+    record = recorded(flights, flights.y + wave[..., None] * np.array([0.0, 0.0, 1.0]))
+    flat, case = (0.0,) * len(FEATURES), (0.0,) * len(OF_CASE)
+    odds = Odds((1.0, *flat[1:]), (50.0, *case[1:]), (50.0, *case[1:]), flat, case)
+    found = answer(record, 0.0, odds)
+    assert (found.verdict.kind, found.verdict.effects) == (kind, ())
+    assert (found.none, found.unknown) == pytest.approx(
+        (1.0, 0.0) if kind == "none" else (0.0, 1.0)
+    )
+
+
 def test_of_this_very_engine_nothing_else_differs_but_flights(flights):
     record = recorded(flights, flights.y)
     for build in (0.0, 0.25, 1.0):
