@@ -299,7 +299,7 @@ def diagnose_pairs(  # noqa: PLR0913 - what is known of the pairs, each part by 
         evidence = _with_held_out(evidence, there, itself or emulator, emulator)
     elif there is not None:
         evidence = _with_held_out(evidence, there, stand_in)
-    facts = {**facts_of(pairs, data, held), "core": dict(found.facts)}
+    facts = facts_of(pairs, data, held)
     facts["warnings"] = [*doubts, *facts["warnings"]]
     facts["warnings"] += coarse_emulator(evidence, again=again is not None)
     evidence = replace(evidence, facts=facts)

@@ -153,7 +153,7 @@ def _summed(values: FloatArray, unit: IntArray | None) -> FloatArray:
     """Sums of values (flights, time) per flight, or per unit."""
     if unit is None:
         return np.asarray(values.sum(axis=1))
-    return np.bincount(unit[unit >= 0], values[unit >= 0])
+    return np.bincount(unit[unit >= 0], values[unit >= 0]).astype(np.float64)
 
 
 def pooled_share(before: FloatArray, left: FloatArray) -> float:

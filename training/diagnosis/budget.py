@@ -270,8 +270,7 @@ class Budget:
     nothing acts and that something acts that the library lacks. `by_others` (flights, time,
     outputs) is what the claim does in each flight by the parameters of the other flights, less
     what it does by those of all. `on` (flights, time) says when an unlogged load was on, None
-    where none is claimed; `edges` are the intervals of its edges per flight, in steps. `facts` are
-    numbers for `quality`.
+    where none is claimed; `edges` are the intervals of its edges per flight, in steps.
     """
 
     verdict: Verdict
@@ -280,7 +279,6 @@ class Budget:
     none: float
     unknown: float
     gap_share: float
-    facts: Mapping[str, Any] = field(default_factory=dict)
     by_others: FloatArray | None = field(default=None, repr=False)
     on: BoolArray | None = field(default=None, repr=False)
     edges: Sequence[Sequence[tuple[float, float]]] = ()

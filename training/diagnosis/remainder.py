@@ -31,7 +31,7 @@ class _Sorted(NamedTuple):
     """Numbers of bins (flights, time), -1 for none; what they are along, and words of each."""
 
     along: str
-    index: IntArray
+    bins: IntArray
     words: tuple[str, ...]
 
 
@@ -50,7 +50,17 @@ def largest_left(frame: Frame, phases: Phases) -> str:
             if energy > most:
                 whole = _bins(record, record.gap[..., c], allowed[..., c], each, c)[0]
                 most, said = energy, _said(name, each, whole)
-    return said
+    return said or _throughout(record, left, allowed)
+
+
+def _throughout(record: Record, left: FloatArray, allowed: FloatArray) -> str:
+    """What is left without a place, by its root mean square beside that of noise and build."""
+    for c, name in enumerate(record.flights.signals.outputs):
+        use = record.known[..., c]
+        square = float(np.mean(left[..., c][use] ** 2)) - record.noise[c] ** 2
+        if square > float(np.mean(allowed[..., c][use])):
+            return f"a {symbol(name)} error of {square**0.5:.2g} {unit(name)} RMS in no one place"
+    return ""
 
 
 def _sorted(record: Record, phases: Phases) -> Iterator[_Sorted]:
@@ -76,9 +86,9 @@ def _bins(
     record: Record, left: FloatArray, allowed: FloatArray, along: _Sorted, c: int
 ) -> tuple[FloatArray, BoolArray, FloatArray]:
     """Mean over units of each bin, whether that is beyond noise and build, and its samples."""
-    use = record.known[..., c] & (along.index >= 0)
+    use = record.known[..., c] & (along.bins >= 0)
     shape = (record.units, len(along.words))
-    place = np.ravel_multi_index((record.unit[use], along.index[use]), shape)
+    place = np.ravel_multi_index((record.unit[use], along.bins[use]), shape)
     count, total, prior = (
         np.bincount(place, each, record.units * shape[1]).reshape(shape)
         for each in (np.ones(len(place)), left[use], allowed[use])

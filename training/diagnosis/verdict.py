@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.special import log_softmax
@@ -148,7 +148,6 @@ def concluded(
         weighed.none,
         weighed.unknown,
         gap_share(record),
-        _facts(evidence, weighed),
         by_others(joint),
         next((one.node.on for one in on), None),
         next((unlogged.edges(frame, one) for one in on), []),
@@ -169,16 +168,15 @@ def _assumed(evidence: Evidence, left: str, *, claims: bool) -> _Answers:
     """Probabilities by the logit; layers on the likeliest effect.
 
     No layers without `claims`, or where none and unknown together are likelier than it and those
-    alike to it. Beside a simulator that is this very engine noise alone is left where nothing acts:
-    what is `left` in one place of all flights is none, and without any nothing unknown acts.
+    alike to it. Beside a simulator that is this very engine noise alone is left where nothing acts.
     """
     names, setting = [one.name for one in evidence.singles], evidence.setting
     chances = setting.odds.first(names, evidence.effects, evidence.case)
     if evidence.energy < _NOTHING * evidence.frame.floor:
         chances = np.full_like(chances, -np.inf)
         chances[-2] = 0.0
-    elif not evidence.frame.nuisances.of_build:
-        chances[-1 - bool(left)] = -np.inf
+    elif left and not evidence.frame.nuisances.of_build:
+        chances[-2] = -np.inf
         chances = log_softmax(chances)
     known = dict(zip(names, np.exp(chances[:-2]).tolist(), strict=True))
     none, unknown = np.exp(chances[-2:]).tolist()
@@ -340,22 +338,3 @@ def _one(
         ),
         tuple(other for other in claimed if other != name) if name in claimed else (),
     )
-
-
-def _facts(evidence: Evidence, found: _Answers) -> dict[str, Any]:
-    names = [one.name for one in evidence.singles]
-    rows = [(one.name, one.odds, one.share) for one in found.layers if one.chances]
-    more = found.more
-    return {
-        "features": {n: row.tolist() for n, row in zip(names, evidence.effects, strict=True)},
-        "case_features": evidence.case.tolist(),
-        "layers": rows,
-        "next": None if more is None else (more.name, more.odds, more.share),
-        "temper": evidence.frame.none.tau,
-        "nuisances": dict(_sizes(evidence.frame)),
-    }
-
-
-def _sizes(frame: Frame) -> list[tuple[str, float]]:
-    kinds, nu = np.array(frame.nuisances.kind), frame.none.nu
-    return [(k, float(np.abs(nu[kinds == k]).max())) for k in dict.fromkeys(kinds.tolist())]
