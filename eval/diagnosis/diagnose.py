@@ -71,7 +71,7 @@ from training.diagnosis.emulator import (
 )
 from training.diagnosis.fit import Frame
 from training.diagnosis.load import windows_of
-from training.diagnosis.metric import Metric, assumed_variance
+from training.diagnosis.metric import Metric, Record, assumed_variance
 from training.diagnosis.nuisances import nuisances
 from training.diagnosis.verdict import ASSUMED, Differences, Engines, concluded, weigh
 
@@ -288,8 +288,8 @@ def diagnose_pairs(  # noqa: PLR0913 - what is known of the pairs, each part by 
     stand_in: Emulator = itself or emulator
     flown = data.flights
     evidence = _evidence(data, found, emulator, stand_in)
-    if evidence.predicted.high < 0.0:
-        found = concluded(weights, phases, [_harmful(evidence)])
+    if found.claimed and (refused := _refused(evidence, record, differences)):
+        found = concluded(weights, phases, refused=refused)
         evidence = _evidence(data, found, emulator, stand_in)
     data = evidence.data
     if there is not None and rests_on_emulator(found.claimed, again=again is not None):
@@ -299,18 +299,26 @@ def diagnose_pairs(  # noqa: PLR0913 - what is known of the pairs, each part by 
         evidence = _with_held_out(evidence, there, itself or emulator, emulator)
     elif there is not None:
         evidence = _with_held_out(evidence, there, stand_in)
-    facts = {**facts_of(pairs, data, held), "core": dict(found.facts)}
+    facts = facts_of(pairs, data, held)
     facts["warnings"] = [*doubts, *facts["warnings"]]
     facts["warnings"] += coarse_emulator(evidence, again=again is not None)
     evidence = replace(evidence, facts=facts)
     return Answer(document(evidence, pairs), found, evidence, emulator)
 
 
-def _harmful(evidence: Evidence) -> str:
-    """Why effects are no answer that fit with differences of build and flights against them."""
-    names = listed([in_words(name) for name in evidence.budget.claimed])
-    more = percent(-evidence.predicted.value)
-    return f"the best candidate is {names}, which makes the squared gap {more} larger by itself"
+def _refused(evidence: Evidence, record: Record, differences: Differences) -> str:
+    """Why effects are no answer that take nothing off flights, or parts of few, that did not fit.
+
+    The lower end of the share's interval may not read 0 %; the share itself where the gap is for
+    the most part what a simulator was learned to get wrong by itself.
+    """
+    found = evidence.budget
+    taken = expected(seen(evidence.data, evidence.after, found.by_others, record.unit))
+    if round(taken.low if differences.learned is None else taken.value, 2) > 0.0:
+        return ""
+    names = listed([in_words(name) for name in found.claimed])
+    ends = f"{percent(taken.low)} to {percent(taken.high)}"
+    return f"the best candidate is {names}, which takes {ends} off what did not fit it"
 
 
 def _evidence(

@@ -29,7 +29,7 @@ from narxcal.effects.base import Signals
 from narxcal.effects.library import effect, name_of
 from narxcal.effects.running import Emulator, Flights, Setting, respond
 from narxcal.effects.steady import UnloggedSwitch
-from narxcal.support.arrays import FloatArray
+from narxcal.support.arrays import FloatArray, IntArray
 from narxcal.support.errors import ConfigError
 from training.diagnosis.budget import Interval
 from training.response import Transient, TransientConfig, measure_transient
@@ -132,17 +132,28 @@ def held_out(values: Values, data: GapData, emulator: Emulator | None) -> HeldOu
     return HeldOut(data, share, channel_shrink(data, after), after)
 
 
-def squares(data: GapData, after: FloatArray) -> tuple[FloatArray, FloatArray]:
+def squares(
+    data: GapData, after: FloatArray, unit: IntArray | None = None
+) -> tuple[FloatArray, FloatArray]:
     """Sums of squares of the gap above the noise per flight, before and `after`: (flights,) each.
 
     Plain differences of recorded and simulated outputs, each channel over
-    `noise^2 + (0.001 range)^2`, so that anybody can form them from the logs.
+    `noise^2 + (0.001 range)^2`, so that anybody can form them from the logs. Per `unit`
+    (flights, time) where that is given.
     """
-    variance = data.variance
-    floor = (np.isfinite(data.gap) * (data.noise**2 / variance)).sum(axis=(1, 2))
-    before = np.nansum(data.gap**2 / variance, axis=(1, 2)) - floor
-    left = np.nansum((data.real - after) ** 2 / variance, axis=(1, 2)) - floor
+    floor = np.isfinite(data.gap) * data.noise**2
+    before, left = (
+        _summed(np.nansum((each**2 - floor) / data.variance, axis=2), unit)
+        for each in (data.gap, data.real - after)
+    )
     return before, left
+
+
+def _summed(values: FloatArray, unit: IntArray | None) -> FloatArray:
+    """Sums of values (flights, time) per flight, or per unit."""
+    if unit is None:
+        return np.asarray(values.sum(axis=1))
+    return np.bincount(unit[unit >= 0], values[unit >= 0]).astype(np.float64)
 
 
 def pooled_share(before: FloatArray, left: FloatArray) -> float:
@@ -209,22 +220,25 @@ class Other(NamedTuple):
     samples: FloatArray
 
 
-def seen(data: GapData, after: FloatArray, by_others: FloatArray | None) -> Sums:
+def seen(
+    data: GapData, after: FloatArray, by_others: FloatArray | None, unit: IntArray | None = None
+) -> Sums:
     """Sum up flight by flight what `after` (flights, time, outputs) changes and leaves.
 
-    With `by_others` added it is what the parameters do that the other flights give: what each
-    flight would have left if it had taken no part.
+    Unit by unit where `unit` (flights, time) is given. With `by_others` added it is what the
+    parameters do that the other flights give: what each flight would have left if it had taken no
+    part.
     """
     unfitted = after if by_others is None else after + by_others
-    return Sums(*squares(data, unfitted), *unseen(data, after))
+    return Sums(*squares(data, unfitted, unit), *unseen(data, after, unit))
 
 
-def unseen(data: GapData, after: FloatArray) -> Other:
+def unseen(data: GapData, after: FloatArray, unit: IntArray | None = None) -> Other:
     """What `after` changes, and where anything was recorded, whatever that is."""
     known = np.isfinite(data.real)
     change = (after - data.flights.y) ** 2 / data.variance
-    samples = known.sum(axis=(1, 2)).astype(np.float64)
-    return Other(np.sum(change, axis=(1, 2), where=known), samples)
+    samples = known.sum(axis=2).astype(np.float64)
+    return Other(_summed(np.sum(change, axis=2, where=known), unit), _summed(samples, unit))
 
 
 def expected(found: Sums, other: Other | None = None) -> Interval:

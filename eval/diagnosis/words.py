@@ -157,9 +157,11 @@ def sentences(document: Row) -> list[str]:
         word = "Undetermined" if verdict["kind"] == "unknown" else "No effect is named"
         found = [f"{word}: {reason}."]
     if verdict["ambiguous_with"]:
-        named = listed([in_words(name) for name in verdict["effects"]])
-        others = listed([in_words(name) for name in verdict["ambiguous_with"]], "or")
-        found.append(f"Ambiguous: these flights do not separate {named} from {others}.")
+        both = [name for name in (*verdict["effects"], *verdict["ambiguous_with"]) if name in rows]
+        words = [f"{in_words(name)} ({percent(rows[name]['probability'])})" for name in both]
+        told = verdict["separating_manoeuvre"]
+        found.append(f"One answer, which these flights do not divide: {listed(words, 'or')}.")
+        found.append(f"What would: {told}.")
     if (left := shares.get("unexplained")) is not None:
         share = percent(left["share"]) if left["share"] < 1.0 else "All"
         share = "No part" if share == percent(0.0) else share

@@ -15,6 +15,11 @@ from narxcal.effects.dynamic import (
     SpoolLag,
 )
 from narxcal.effects.signal_path import (
+    AIR_DATA,
+    AirDataBias,
+    AirDataDelay,
+    AirDataEffect,
+    AirDataFrozen,
     DriverGain,
     FlowmeterDynamics,
     SensorBias,
@@ -58,8 +63,9 @@ ENGINE_WIDE: tuple[type[Effect], ...] = (
 )
 PER_CHANNEL: tuple[type[Effect], ...] = (SensorLag, SensorBias, SensorDrift, TimeSkew)
 # In no blind case: how often they are claimed wrongly is known, how often rightly is not.
-SCALES: tuple[type[Effect], ...] = (DriverGain, SensorGain)
-ALL: tuple[type[Effect], ...] = (*ENGINE_WIDE, *PER_CHANNEL, FlowmeterDynamics, *SCALES)
+OF_AIR_DATA: tuple[type[Effect], ...] = (AirDataBias, AirDataDelay, AirDataFrozen)
+RARE: tuple[type[Effect], ...] = (DriverGain, SensorGain, *OF_AIR_DATA)
+ALL: tuple[type[Effect], ...] = (*ENGINE_WIDE, *PER_CHANNEL, FlowmeterDynamics, *RARE)
 LIBRARY: dict[str, type[Effect]] = {kind.id: kind for kind in ALL}
 
 
@@ -73,14 +79,16 @@ def candidates(signals: Signals) -> tuple[Effect, ...]:
 
 
 def hypotheses(signals: Signals) -> tuple[Effect, ...]:
-    """Every effect that a budget weighs: candidates and scales, a flow meter's lag once.
+    """Every effect that a budget weighs: candidates, scales and air data, a flow meter's lag once.
 
     Where fuel is the driver there is no lever, and no control that limits anything.
     """
-    scales = [DriverGain(), *(SensorGain(channel) for channel in signals.outputs)]
+    rare: list[Effect] = [DriverGain(), *(SensorGain(channel) for channel in signals.outputs)]
+    air = [kind(channel) for channel in AIR_DATA for kind in OF_AIR_DATA]
+    rare += [each for each in air if each.applies(signals)]
     lever = (ThrottleBacklash, ThrottleRateLimit, ThrottleBias, AccelLimit)
     left_out = (UnloggedSwitch, *(() if signals.governed else lever))
-    every = [each for each in (*candidates(signals), *scales) if not isinstance(each, left_out)]
+    every = [each for each in (*candidates(signals), *rare) if not isinstance(each, left_out)]
     return tuple(each for each in every if each.name != "sensor_lag:FF_kgph")
 
 
@@ -94,7 +102,7 @@ def effect(name: str) -> Effect:
     kind, _, channel = name.partition(":")
     if kind not in LIBRARY:
         raise ConfigError(f"unknown effect '{kind}'", hint=did_you_mean(kind, LIBRARY, "Known:"))
-    if issubclass(LIBRARY[kind], SensorEffect) != bool(channel):
+    if issubclass(LIBRARY[kind], (SensorEffect, AirDataEffect)) != bool(channel):
         wants = "needs a channel, as in sensor_lag:EGT_C" if not channel else "has no channel"
         raise ConfigError(f"effect '{kind}' {wants}")
     return LIBRARY[kind](channel or None)

@@ -26,6 +26,8 @@ from narxcal.effects.operators import delay, play, rate_limit, smooth_delay, smo
 from narxcal.support.arrays import FloatArray
 
 LONGEST_S = 2.0
+AIR_DATA = {"ALT_ft": (3000.0, "ft"), "Mach": (0.2, "-")}  # largest error, and its unit
+FROZEN_S = 10.0  # that a record stands still
 FASTEST_DEGPS = 400.0  # faster than any hand: no limit at all
 
 
@@ -138,6 +140,88 @@ class ThrottleBias(_Lever):
     def arrived(self, run: Run, lever: FloatArray) -> FloatArray:
         """The lever plus a constant."""
         return lever + run.theta[:, :1]
+
+
+class AirDataEffect(InputEffect):
+    """An error of the recorded altitude or Mach number: the simulator flew it, the engine did not.
+
+    What the record lost is looked up where it goes on, so that no more of it is known than that.
+    """
+
+    side: ClassVar[Side] = "input"
+    family: ClassVar[str] = "air data"
+
+    def applies(self, signals: Signals) -> bool:
+        """Where the channel is flown through more than one value."""
+        return self.channel in AIR_DATA and self.channel in signals.active
+
+    def on_input(self, run: Run, u: FloatArray) -> FloatArray:
+        """Inputs with the channel as it was; the others are passed on."""
+        column, changed = run.signals.u(self.channel or ""), u.copy()
+        changed[..., column] = self.true(run, u[..., column])
+        return changed
+
+    @abstractmethod
+    def true(self, run: Run, recorded: FloatArray) -> FloatArray:
+        """What it was (batch, time) where this is recorded."""
+
+
+class AirDataBias(AirDataEffect):
+    """The channel reads `bias` too much."""
+
+    id: ClassVar[str] = "air_data_bias"
+    meaning: ClassVar[str] = "one channel recorded with an offset"
+    manoeuvre: ClassVar[str] = "holds at one lever position, at low and at high altitude and Mach"
+
+    def parameters(self, signals: Signals) -> tuple[Parameter, ...]:  # noqa: ARG002 - the channel says it
+        """An offset of up to 3000 ft, or of 0.2 in Mach."""
+        most, text = AIR_DATA[self.channel or ""]
+        return (Parameter("bias", text, -most, most, 0.0, (-0.15 * most, 0.15 * most)),)
+
+    def true(self, run: Run, recorded: FloatArray) -> FloatArray:
+        """The record less its offset, no Mach number below 0."""
+        low = 0.0 if self.channel == "Mach" else -np.inf
+        return np.where(
+            run.theta[:, :1] == 0.0, recorded, np.maximum(recorded - run.theta[:, :1], low)
+        )
+
+
+class AirDataDelay(AirDataEffect):
+    """The channel is recorded `late_s` late."""
+
+    id: ClassVar[str] = "air_data_delay"
+    meaning: ClassVar[str] = "one channel of the air data recorded late"
+    manoeuvre: ClassVar[str] = "fast climbs and descents at one lever position"
+    fixed = (Parameter("late_s", "s", 0.0, 60.0, 0.0, (3.0, 15.0)),)
+
+    def true(self, run: Run, recorded: FloatArray) -> FloatArray:
+        """What is recorded `late_s` from now."""
+        return delay(recorded, -run.theta[:, 0], run.signals.dt_s)
+
+
+class AirDataFrozen(AirDataEffect):
+    """While the record stands still to the digit, the channel goes on to where it goes on.
+
+    By `share` of the way, straight. A level flight stands still as well: the record then goes on
+    where it stood.
+    """
+
+    id: ClassVar[str] = "air_data_frozen"
+    meaning: ClassVar[str] = "one channel frozen in the record for a while"
+    manoeuvre: ClassVar[str] = "climbs and descents with a second source of the air data"
+    fixed = (Parameter("share", "-", 0.0, 1.0, 0.0, (0.5,)),)
+
+    def true(self, run: Run, recorded: FloatArray) -> FloatArray:
+        """The record, with straight lines in the place of what stands still."""
+        found, time = recorded.copy(), np.arange(recorded.shape[1])
+        for k, row in enumerate(recorded):
+            starts = np.flatnonzero(np.diff(row, prepend=np.nan) != 0.0)
+            lengths = np.diff(np.append(starts, len(row)))
+            held = np.repeat(lengths * run.signals.dt_s >= FROZEN_S, lengths)
+            held[starts] = False
+            corners = time[~held]
+            found[k] += run.theta[k, 0] * (np.interp(time, corners, row[corners]) - row)
+        return found
 
 
 _COUNTED = Parameter("own_s", "s", 0.0, 0.5, 0.0, (0.05, 0.3))  # of a speed

@@ -58,6 +58,33 @@ def test_a_delay_and_a_limit_and_a_bias_of_the_lever(flights):
     np.testing.assert_allclose(told("throttle_bias", [-1.5], flights, ramp), ramp - 1.5)
 
 
+CLIMB = 5000.0 + 25.0 * DT * np.arange(400)
+
+
+def frozen(start, stop):
+    """The climb with a record that stands still from one sample to before another."""
+    return np.where((np.arange(400) >= start) & (np.arange(400) < stop), CLIMB[start], CLIMB)
+
+
+@pytest.mark.parametrize(
+    ("name", "theta", "recorded", "true"),
+    [
+        ("air_data_bias:ALT_ft", 300.0, CLIMB + 300.0, CLIMB),
+        ("air_data_delay:ALT_ft", 2.0, CLIMB - 50.0, np.minimum(CLIMB, CLIMB[-1] - 50.0)),
+        ("air_data_frozen:ALT_ft", 1.0, frozen(100, 220), CLIMB),
+        ("air_data_frozen:ALT_ft", 0.5, frozen(100, 220), 0.5 * (CLIMB + frozen(100, 220))),
+        ("air_data_frozen:ALT_ft", 1.0, frozen(100, 160), frozen(100, 160)),  # too short
+        ("air_data_frozen:ALT_ft", 1.0, frozen(100, 400), frozen(100, 400)),  # nobody knows
+    ],
+)
+def test_an_engine_flies_the_air_data_that_are_meant(name, theta, recorded, true, flights):
+    rows = np.repeat(flights.u[:1, :1], 400, axis=1)
+    rows[..., 1] = recorded
+    found = effect(name).on_input(Run(flights.signals, np.array([[theta]]), rows), rows)
+    np.testing.assert_allclose(found[0, :, 1], true)
+    np.testing.assert_array_equal(np.delete(found, 1, axis=2), np.delete(rows, 1, axis=2))
+
+
 @pytest.mark.parametrize(
     ("name", "theta", "changed"),
     [

@@ -214,8 +214,8 @@ class Cause:
 
     `cause` is an effect's name, `build`, `offsets`, `noise` or `unexplained`. `share` is of the
     whole gap, `low` and `high` are the shares with effects first and with build first. `channels`
-    and `phases` divide the share; each is of the whole gap as well. `probability` that the effect
-    acts and its 80 % `credible_set` are those of effects alone.
+    and `phases` divide the share; each is of the whole gap as well. An effect has the `probability`
+    that it acts, and a `credible_set`: itself, and what these flights do not tell from it.
     """
 
     cause: str
@@ -270,8 +270,7 @@ class Budget:
     nothing acts and that something acts that the library lacks. `by_others` (flights, time,
     outputs) is what the claim does in each flight by the parameters of the other flights, less
     what it does by those of all. `on` (flights, time) says when an unlogged load was on, None
-    where none is claimed; `edges` are the intervals of its edges per flight, in steps. `facts` are
-    numbers for `quality`.
+    where none is claimed; `edges` are the intervals of its edges per flight, in steps.
     """
 
     verdict: Verdict
@@ -280,7 +279,6 @@ class Budget:
     none: float
     unknown: float
     gap_share: float
-    facts: Mapping[str, Any] = field(default_factory=dict)
     by_others: FloatArray | None = field(default=None, repr=False)
     on: BoolArray | None = field(default=None, repr=False)
     edges: Sequence[Sequence[tuple[float, float]]] = ()
@@ -371,12 +369,12 @@ def gap_share(record: Record) -> float:
 
 def causes_of(
     record: Record,
-    effects: Sequence[str],
+    effects: Mapping[str, tuple[str, ...]],
     components: Sequence[FloatArray],
     phases: Phases,
     known: dict[str, float],
 ) -> tuple[Cause, ...]:
-    """Rows of the budget: effects, build, offsets, noise, unexplained."""
+    """Rows of the budget: `effects`, what is alike to each, build, offsets, noise, unexplained."""
     inside = np.eye(len(phases.names))[np.maximum(phases.index, 0)]
     inside = inside * (phases.index >= 0)[..., None]
     scale = 1.0 / record.span**2
@@ -397,7 +395,11 @@ def causes_of(
     rows += [(NOISE, noise, noise, noise), (UNEXPLAINED, rest, rest, rest)]
     outputs = record.flights.signals.outputs
     return tuple(
-        _cause(name, [each / total for each in three], (outputs, phases.names), known)
+        replace(
+            _cause(name, [each / total for each in three], (outputs, phases.names)),
+            probability=known.get(name),
+            credible_set=(name, *effects[name]) if name in effects else (),
+        )
         for name, *three in rows
     )
 
@@ -406,7 +408,6 @@ def _cause(
     name: str,
     three: Sequence[FloatArray],
     names: tuple[Sequence[str], Sequence[str]],
-    known: dict[str, float],
 ) -> Cause:
     """One row from its shares (outputs, phases): on the mean, first, and last."""
     share, ends = three[0], [float(each.sum()) for each in three]
@@ -417,8 +418,6 @@ def _cause(
         max(ends),
         dict(zip(names[0], share.sum(axis=1).tolist(), strict=True)),
         dict(zip(names[1], share.sum(axis=0).tolist(), strict=True)),
-        known.get(name),
-        (name, *credible(known, name)) if name in known else (),
     )
 
 

@@ -12,7 +12,8 @@ n_eff effective samples, not all of them, are evidence. A `Frame` fits single ef
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -89,8 +90,18 @@ def no_columns(grams: Grams) -> Columns:
     )
 
 
-def solve(grams: Grams, columns: Columns, without: int | None = None, begin: float = 1.0) -> Solved:
-    """Fit a hypothesis to all units, or to all `without` one; rss is that of every unit."""
+def solve(
+    grams: Grams,
+    columns: Columns,
+    without: int | None = None,
+    begin: float = 1.0,
+    *,
+    rounds: int = _ROUNDS,
+) -> Solved:
+    """Fit a hypothesis to all units, or to all `without` one; rss is that of every unit.
+
+    The temper begins with `begin`, which one round alone fits with.
+    """
     h, g, c = _assembled(grams, columns)
     kept = np.ones(len(c), dtype=bool)
     if without is not None:
@@ -105,7 +116,7 @@ def solve(grams: Grams, columns: Columns, without: int | None = None, begin: flo
     low[:k][columns.absent] = high[:k][columns.absent] = 0.0
     prior = np.concatenate([np.ones(k), np.zeros(p)])
     tau = begin
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         a = whole_h + np.diag(tau * prior)
         theta = least(a, whole_g, low, high)
         rss = c - 2.0 * g @ theta + np.einsum("uij,i,j->u", h, theta, theta)
@@ -242,23 +253,29 @@ class Frame:
         share, least = _LEAST
         return max(found.cost - self.floor, 0.0) + share * self.floor + least
 
-    def _columns(self, nodes: Sequence[Node]) -> Iterator[Columns]:
-        """Inner products of nodes, of several in one pass through the nuisances."""
+    def _columns(self, nodes: Sequence[Node], gap: FloatArray | None = None) -> Iterator[Columns]:
+        """Inner products of nodes, of several in one pass through the nuisances.
+
+        Those with the gap are with a whitened one instead where it is given.
+        """
         some = max(1, _AT_ONCE // len(nodes[0].rows)) if nodes else 1
         for k in range(0, len(nodes), some):
             part = nodes[k : k + some]
             rows = np.concatenate([node.rows for node in part], dtype=np.float64)
-            rr, rn, rd = self.inner(rows)
+            rr, rn, rd = self.inner(rows, gap)
             ends = np.cumsum([len(node.rows) for node in part])
             for node, stop in zip(part, ends.tolist(), strict=True):
                 own = slice(stop - len(node.rows), stop)
                 absent = np.array([name == node.name for name in self.nuisances.effect])
                 yield Columns(rr[:, own, own], rn[:, own], rd[:, own], node.box, absent)
 
-    def inner(self, rows: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def inner(
+        self, rows: FloatArray, gap: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Inner products of rows among themselves, with the nuisances, and with the gap."""
         found, gram = self._metric.whiten(rows), self._metric.gram
-        return gram(found, found), gram(found, self._n), gram(found, self._d)[..., 0]
+        toward = gram(found, self._d if gap is None else gap)[..., 0]
+        return gram(found, found), gram(found, self._n), toward
 
     def fits(self, nodes: Sequence[Node]) -> list[Single]:
         """Each node by itself."""
@@ -285,14 +302,24 @@ class Frame:
             one = there
         return one
 
+    def apart(self, one: Single, nodes: Sequence[Node]) -> float:
+        """Distance of what an effect predicts from the nearest prediction of another one's nodes.
+
+        In standard deviations of what is left beside it, differences of build free: the likelier
+        of two at a distance d is the right one with probability Phi(d / 2) (Anderson, *An
+        Introduction to Multivariate Statistical Analysis*, section 6.4).
+        """
+        d, tau = self._metric.whiten(one.response[None]), one.solved.tau
+        toward, whole = (self._metric.gram(rows, d)[..., 0] for rows in (self._n, d))
+        grams = replace(self.grams, nd=toward, dd=whole[:, 0])
+        fits = [solve(grams, each, begin=tau, rounds=1) for each in self._columns(nodes, d)]
+        return float(min(fit.rss.sum() / tau + fit.nu @ fit.nu for fit in fits) ** 0.5)
+
     def bare(self) -> Frame:
         """The same without differences of builds: offsets and starts alone are nuisances."""
-        other = object.__new__(Frame)
-        other.__dict__.update(self.__dict__)
+        other = copy(self)
         keep = np.array([kind in (OFFSET, START) for kind in self.nuisances.kind])
-        limit = np.where(keep, self.grams.limit, 0.0)
-        grams = self.grams
-        other.grams = Grams(grams.nn, grams.nd, grams.dd, grams.floor, limit, grams.independent)
+        other.grams = replace(self.grams, limit=np.where(keep, self.grams.limit, 0.0))
         other.none = solve(other.grams, no_columns(other.grams))
         return other
 

@@ -29,9 +29,11 @@ from typing import Final
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
-from scipy.special import expit, log_softmax, logit
+from scipy.special import expit, log_softmax, logit, logsumexp, ndtri
 
+from narxcal.effects.library import LIBRARY, RARE
 from narxcal.effects.steady import UnloggedSwitch
+from narxcal.intervals import LEVEL
 from narxcal.support.arrays import FloatArray
 from training.diagnosis import load
 from training.diagnosis.dictionary import Dictionary
@@ -40,7 +42,6 @@ from training.diagnosis.fit import Frame, Single, solve
 from training.diagnosis.metric import Metric, Record
 from training.diagnosis.nuisances import Nuisances
 
-_SCALES: Final = ("sensor_gain", "driver_gain")
 _RARE: Final = -1.6  # one to five
 # A parameter costs evidence of the whole record, and log ratios are per sample: sizes count by
 # effective samples, in such units that five are 1 in the calibration's flights of eight minutes.
@@ -90,9 +91,9 @@ def log_odds(chance: float) -> float:
 def prior(name: str) -> float:
     """Log odds of an effect before anything is seen, against one of the calibration's catalogue.
 
-    No case there has a wrong scale; a scale is rarer than an offset.
+    No case there has a wrong scale or air data; a scale is rarer than an offset.
     """
-    return _RARE if name.partition(":")[0] in _SCALES else 0.0
+    return _RARE if LIBRARY.get(name.partition(":")[0]) in RARE else 0.0
 
 
 def features(frame: Frame, singles: Sequence[Single]) -> tuple[FloatArray, FloatArray]:
@@ -134,6 +135,7 @@ FORM: Final = 0.3  # share by which the form of a response is wrong
 _FORM_S: Final = 4.0
 MOST: Final = 4
 _REFINED: Final = 3  # of all that are tried, those that leave least
+APART: Final = 2.0 * float(ndtri(LEVEL))  # distance from which on the likelier one is right
 EVIDENCE: Final = 8.0  # that a layer has, where it was learned what chance has
 PER_PARAMETER: Final = 6.0
 
@@ -143,13 +145,15 @@ class Layer:
     """One effect of the sum, as fitted beside the others.
 
     `chances` are the log probabilities of all effects in its place, best first, and `none` that of
-    no effect there; `share` is what the effect takes of the first energy.
+    no effect there; `share` is what the effect takes of the first energy. `alike` are the effects
+    that these flights do not tell from it.
     """
 
     single: Single
     chances: tuple[tuple[str, float], ...]
     none: float
     share: float
+    alike: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -158,8 +162,28 @@ class Layer:
 
     @property
     def odds(self) -> float:
-        """Log odds of the effect against none in its place."""
-        return self.chances[0][1] - self.none
+        """Log odds of the effect, or of one that is alike, against none in its place."""
+        one = {self.name, *self.alike}
+        return (
+            float(logsumexp([chance for name, chance in self.chances if name in one])) - self.none
+        )
+
+
+def alike(
+    frame: Frame, one: Single, tried: Sequence[Single], dictionary: Dictionary
+) -> tuple[str, ...]:
+    """Effects whose records these flights do not tell from those of `one`, best first.
+
+    The likelier one of two would be right with a probability below that of an interval. Where an
+    effect leaves more of the gap than `one` and such a distance together, no distance is formed.
+    """
+    reach = one.solved.cost**0.5 + APART * one.solved.tau**0.5
+    near = [each for each in tried if each.name != one.name and each.solved.cost**0.5 <= reach]
+    return tuple(
+        each.name
+        for each in near
+        if frame.apart(one, dictionary.nodes.get(each.name, [each.node])) < APART
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,43 +223,44 @@ class Setting:
         return np.asarray(log_softmax(0.5 * np.array([*evidence, EVIDENCE])))
 
 
-def further(setting: Setting, first: Layer | None, energy: float) -> list[Layer]:
-    """Layers from the `first` one on; `energy` is that of the whole gap."""
+def further(
+    setting: Setting, first: Layer | None, energy: float
+) -> tuple[list[Layer], Layer | None]:
+    """Layers from the `first` one on, and the next that would come in and does not.
+
+    `energy` is that of the whole gap.
+    """
     layers = [] if first is None else [first]
-    while len(layers) < MOST:
-        found = _best(setting, [one.single for one in layers], energy)
-        if found is None or found.odds <= 0.0:
+    while (found := _best(setting, layers, energy)) is not None:
+        if found.odds <= 0.0 or len(layers) == MOST:
             break
-        layers.append(found)
-        layers = _anew(setting, layers, energy)
-    return layers
-
-
-def candidate(setting: Setting, layers: Sequence[Layer], energy: float) -> Layer | None:
-    """The next effect that would come in, whether it does or not."""
-    return _best(setting, [one.single for one in layers], energy)
+        layers = _anew(setting, [*layers, found], energy)
+    return layers, found
 
 
 def _anew(setting: Setting, layers: list[Layer], energy: float) -> list[Layer]:
     """Each layer fitted again to what the others leave, by whichever effect is better now."""
     for k in range(len(layers)):
-        others = [one.single for j, one in enumerate(layers) if j != k]
-        found = _best(setting, others, energy)
+        found = _best(setting, [one for j, one in enumerate(layers) if j != k], energy)
         if found is not None:
             layers[k] = found
     return layers
 
 
-def _best(setting: Setting, others: Sequence[Single], energy: float) -> Layer | None:
-    """The likeliest effect for what `others` leave."""
-    frame, tried = compound_fits(setting, others)
+def _best(setting: Setting, others: Sequence[Layer], energy: float) -> Layer | None:
+    """The likeliest effect for what `others` leave, none that is alike to one of them."""
+    frame, tried = compound_fits(setting, [one.single for one in others])
+    known = {name for one in others for name in one.alike}
+    tried = [one for one in tried if one.name not in known]
     if not tried:
         return None
     chances = setting.chances(frame, tried)
     best = tried[int(np.argmax(chances[:-1]))]
     names = [one.name for one in tried]
     order = sorted(zip(names, chances[:-1].tolist(), strict=True), key=lambda pair: -pair[1])
-    return Layer(best, tuple(order), float(chances[-1]), _plain(frame, best) / energy)
+    same = alike(frame, best, tried, setting.dictionary)
+    share = _plain(frame, best) / energy
+    return Layer(best, tuple(order), float(chances[-1]), share, same)
 
 
 def compound_fits(setting: Setting, others: Sequence[Single]) -> tuple[Frame, list[Single]]:

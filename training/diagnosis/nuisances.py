@@ -49,6 +49,12 @@ class Nuisances:
     effect: tuple[str, ...]
     limit: FloatArray
 
+    @property
+    def of_build(self) -> bool:
+        """Whether engines may differ by anything: the simulator is not this very one."""
+        return any(limit > 0.0 for kind, limit in zip(self.kind, self.limit, strict=True)
+                   if kind in (BUILD, SMALL))  # fmt: skip
+
 
 def nuisances(record: Record, emulator: Emulator | None = None, build: float = 1.0) -> Nuisances:
     """Assumed nuisances of flights of which nothing was learned.

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
+from scipy.special import log_softmax
 
 from narxcal.channels import symbol
 from narxcal.effects.base import unit
@@ -32,22 +33,23 @@ from training.diagnosis.dictionary import Dictionary
 from training.diagnosis.discrepancy import Discrepancy
 from training.diagnosis.fit import Frame, Single, no_columns, solve
 from training.diagnosis.layers import (
-    PER_PARAMETER,
     Layer,
     Odds,
     Setting,
-    candidate,
+    alike,
     features,
     further,
     stored_odds,
 )
 from training.diagnosis.metric import TOLERANCE, Metric, Record, assumed_variance
 from training.diagnosis.nuisances import BUILD, nuisances
+from training.diagnosis.remainder import largest_left
 
 _SURE: Final = 0.5  # probability below which the first effect is not named alone
 _SHORT_S: Final = 600.0  # twice what one unit of a flight is at least
 _NOTHING: Final = 0.03  # of the noise's energy: less is no gap
 _NAMEABLE: Final = 8.0**0.5  # standard errors of a size that could be named
+_NOT_KNOWN: Final = "something acts that no effect of the library explains"
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,75 +113,99 @@ def weigh(
     return Evidence(frame, tuple(singles), *features(frame, singles), setting)
 
 
-def concluded(evidence: Evidence, phases: Phases, doubts: Sequence[str] = ()) -> Budget:
+def concluded(
+    evidence: Evidence, phases: Phases, doubts: Sequence[str] = (), refused: str = ""
+) -> Budget:
     """Say which effects act in recorded flights, and what share of the gap each cause takes.
 
-    With `doubts` of the logs or of the answer it is undetermined, and they are its reason.
+    With `doubts` of the logs it is undetermined, and they are its reason. Effects that were named
+    before are `refused` with a reason.
     """
     frame, record = evidence.frame, evidence.setting.record
     if evidence.setting.learned is None:
-        known, none, unknown, layers = _assumed(evidence)
-        verdict = _verdict(known, none, unknown, layers, _within_build(frame))
+        left = largest_left(frame, phases)
+        weighed = _assumed(evidence, left, claims=not (doubts or refused))
     else:
-        known, none, layers = _learned(evidence)
-        unknown, verdict = 0.0, _found(layers)
+        left, weighed = "", _learned(evidence)
+    if refused:
+        weighed = weighed._replace(layers=[])
+    known, layers = weighed.known, weighed.layers
+    verdict = _named(weighed) if layers else _unnamed(weighed, evidence, left, refused)
     if doubts:
         verdict, layers = Verdict("unknown", (), (), "; ".join(doubts)), []
     elif _too_short(record) and verdict.effects:
         verdict, layers = _undetermined(verdict), []
-    claimed = [one.single for one in layers if one.name in verdict.effects]
-    joint = together(frame, claimed)
+    joint = together(frame, [one.single for one in layers])
     # A load may be found only as a further effect: then no single fit of it is there.
     alone = {one.name for one in evidence.singles}
-    second = [one for one in layers if one.single in claimed and one.name not in alone]
+    second = [one for one in layers if one.name not in alone]
     singles = [*evidence.singles, *(frame.fit([one.single.node]) for one in second)]
-    places = [one for one in layers if one.single in claimed and one.chances]
-    known |= {o.name: max(known.get(o.name, 0.0), float(np.exp(o.chances[0][1]))) for o in places}
+    on = [one.single for one in layers if one.single.node.on is not None]
     return Budget(
         verdict,
-        causes_of(record, [n.name for n in joint.nodes], joint.components(), phases, known),
+        causes_of(record, {o.name: o.alike for o in layers}, joint.components(), phases, known),
         _weighed(evidence, singles, joint, known),
-        none,
-        unknown,
+        weighed.none,
+        weighed.unknown,
         gap_share(record),
-        _facts(evidence, layers),
         by_others(joint),
-        next((one.node.on for one in claimed if one.node.on is not None), None),
-        next((unlogged.edges(frame, one) for one in claimed if one.node.on is not None), []),
+        next((one.node.on for one in on), None),
+        next((unlogged.edges(frame, one) for one in on), []),
     )
 
 
-def _assumed(evidence: Evidence) -> tuple[dict[str, float], float, float, list[Layer]]:
-    """Probabilities of effects, none and unknown by the logit; layers on the likeliest.
+class _Answers(NamedTuple):
+    """Probabilities of effects, of none and unknown; the layers, and the one that came next."""
 
-    No layers where none and unknown together are likelier.
+    known: dict[str, float]
+    none: float
+    unknown: float
+    layers: list[Layer]
+    more: Layer | None
+
+
+def _assumed(evidence: Evidence, left: str, *, claims: bool) -> _Answers:
+    """Probabilities by the logit; layers on the likeliest effect.
+
+    No layers without `claims`, or where none and unknown together are likelier than it and those
+    alike to it. Beside a simulator that is this very engine noise alone is left where nothing acts.
     """
     names, setting = [one.name for one in evidence.singles], evidence.setting
     chances = setting.odds.first(names, evidence.effects, evidence.case)
     if evidence.energy < _NOTHING * evidence.frame.floor:
         chances = np.full_like(chances, -np.inf)
         chances[-2] = 0.0
+    elif left and not evidence.frame.nuisances.of_build:
+        chances[-2] = -np.inf
+        chances = log_softmax(chances)
     known = dict(zip(names, np.exp(chances[:-2]).tolist(), strict=True))
     none, unknown = np.exp(chances[-2:]).tolist()
     best = evidence.singles[int(np.argmax(chances[:-2]))]
-    if known[best.name] <= none + unknown:
-        return known, none, unknown, []
-    first = Layer(best, (), float(chances[-2]), 0.0)
-    known[best.name] = setting.odds.sure(known[best.name])
-    return known, none, unknown, further(setting, first, evidence.energy)
+    same = alike(evidence.frame, best, evidence.singles, setting.dictionary)
+    one_of = [best.name, *same]
+    leading = sum(known[name] for name in one_of)
+    if leading <= none + unknown or not claims:
+        return _Answers(known, none, unknown, [], None)
+    known |= {name: known[name] / leading * setting.odds.sure(leading) for name in one_of}
+    first = Layer(best, (), float(chances[-2]), 0.0, same)
+    layers, more = further(setting, first, evidence.energy)
+    for place in layers:
+        found = dict(place.chances)
+        for name in (place.name, *place.alike) if found else ():
+            known[name] = max(known.get(name, 0.0), float(np.exp(found[name])))
+    return _Answers(known, none, unknown, layers, more)
 
 
-def _learned(evidence: Evidence) -> tuple[dict[str, float], float, list[Layer]]:
+def _learned(evidence: Evidence) -> _Answers:
     """Layers by evidence; an effect's probability is that of its place, against none."""
-    layers = further(evidence.setting, None, evidence.energy)
-    more = candidate(evidence.setting, layers, evidence.energy)
+    layers, more = further(evidence.setting, None, evidence.energy)
     known = {one.name: 0.0 for one in evidence.singles}
     none = 0.0
     for place in (*layers, *(() if more is None else (more,))):
         none += place.none
         for name, chance in place.chances:
             known[name] = max(known.get(name, 0.0), float(np.exp(chance)))
-    return known, float(np.exp(none)), layers
+    return _Answers(known, float(np.exp(none)), 0.0, layers, more)
 
 
 def _too_short(record: Record) -> bool:
@@ -219,51 +245,45 @@ def _within_build(frame: Frame) -> str:
     return ""
 
 
-def _found(layers: Sequence[Layer]) -> Verdict:
-    """Every layer is named; what is nearly as likely in a layer's place is named with it."""
-    if not layers:
-        return Verdict(
-            "none", (), (), "nothing acts beyond what this simulator gets wrong by itself"
-        )
-    effects = tuple(one.name for one in layers)
-    near = 0.5 * PER_PARAMETER
-    confusable = [n for one in layers for n, p in one.chances if p > one.chances[0][1] - near]
-    alike = tuple(dict.fromkeys(name for name in confusable if name not in effects))
+def _named(found: _Answers) -> Verdict:
+    """What the layers name, each with what is alike to it.
+
+    The credible set where the first is not likelier than the others.
+    """
+    effects = tuple(one.name for one in found.layers)
+    others = dict.fromkeys(name for one in found.layers for name in one.alike)
+    first = found.layers[0]
+    if sum(found.known[name] for name in (first.name, *first.alike)) < _SURE:
+        others |= dict.fromkeys(credible(found.known, first.name))
+    rest = tuple(name for name in others if name not in effects)
+    reason = "these flights do not tell the effects apart" if rest else ""
     manoeuvre = LIBRARY[effects[0].partition(":")[0]].manoeuvre
-    return Verdict("ambiguous" if alike else "effects", effects, alike, "", manoeuvre)
+    return Verdict("ambiguous" if rest else "effects", effects, rest, reason, manoeuvre)
 
 
-def _verdict(
-    known: dict[str, float], none: float, unknown: float, layers: Sequence[Layer], rests: str
-) -> Verdict:
-    """The most probable answer; a set where the first effect is not likelier than the others."""
-    if not layers:
-        best = max(known, key=lambda name: known[name])
-        if known[best] > max(none, unknown):
-            return Verdict("unknown", (), (), _open(best, known[best], none, unknown))
-        if none >= unknown:
-            return Verdict(
-                "none", (), (), f"nothing acts beyond what builds and flights differ by{rests}"
-            )
-        return Verdict("unknown", (), (), "something acts that no effect of the library explains")
-    effects = tuple(one.name for one in layers)
-    first = effects[0]
-    confusable = credible(known, first)
-    confusable = tuple(name for name in confusable if name not in effects)
-    manoeuvre = LIBRARY[first.partition(":")[0]].manoeuvre
-    if known[first] < _SURE and confusable:
-        return Verdict(
-            "ambiguous", effects, confusable, "several effects explain the gap", manoeuvre
-        )
-    return Verdict("effects", effects, (), "", manoeuvre)
+def _unnamed(found: _Answers, evidence: Evidence, left: str, refused: str) -> Verdict:
+    """Nothing acts where no other answer is likelier and nothing left is beyond noise and build."""
+    learned = evidence.setting.learned is not None
+    best = max(found.known, key=lambda name: found.known[name])
+    likelier = found.known[best] > max(found.none, found.unknown)
+    if not left and (learned or refused or (found.none >= found.unknown and not likelier)):
+        what = "what this simulator gets wrong by itself"
+        if not learned:
+            what = f"what builds and flights differ by{_within_build(evidence.frame)}"
+        reason = "; ".join(filter(None, (f"nothing acts beyond {what}", refused)))
+        return Verdict("none", (), (), reason)
+    reasons = [refused or (_open(best, found) if likelier else "")]
+    reasons.append(f"not in the library: {left}" if left else "")
+    reason = "; ".join(filter(None, reasons)) or _NOT_KNOWN
+    return Verdict("unknown", (), (), reason)
 
 
-def _open(best: str, chance: float, none: float, unknown: float) -> str:
+def _open(best: str, found: _Answers) -> str:
     """Why there is no firm answer where an effect leads, but is not likelier than all without."""
     return (
-        f"the best candidate is {best} ({100.0 * chance:.0f} %), which is not likelier than that "
-        f"nothing acts ({100.0 * none:.0f} %) or something that the library lacks "
-        f"({100.0 * unknown:.0f} %)"
+        f"the best candidate is {best} ({100.0 * found.known[best]:.0f} %), which is not likelier "
+        f"than that nothing acts ({100.0 * found.none:.0f} %) or something that the library lacks "
+        f"({100.0 * found.unknown:.0f} %)"
     )
 
 
@@ -318,22 +338,3 @@ def _one(
         ),
         tuple(other for other in claimed if other != name) if name in claimed else (),
     )
-
-
-def _facts(evidence: Evidence, layers: Sequence[Layer]) -> dict[str, Any]:
-    names = [one.name for one in evidence.singles]
-    more = candidate(evidence.setting, layers, evidence.energy) if layers else None
-    rows = [(one.name, one.odds, one.share) for one in layers if one.chances]
-    return {
-        "features": {n: row.tolist() for n, row in zip(names, evidence.effects, strict=True)},
-        "case_features": evidence.case.tolist(),
-        "layers": rows,
-        "next": None if more is None else (more.name, more.odds, more.share),
-        "temper": evidence.frame.none.tau,
-        "nuisances": dict(_sizes(evidence.frame)),
-    }
-
-
-def _sizes(frame: Frame) -> list[tuple[str, float]]:
-    kinds, nu = np.array(frame.nuisances.kind), frame.none.nu
-    return [(k, float(np.abs(nu[kinds == k]).max())) for k in dict.fromkeys(kinds.tolist())]

@@ -13,6 +13,7 @@ from eval.diagnosis.diagnose import Request, diagnose_folders, diagnose_pairs
 from eval.diagnosis.expected import expected, seen, unseen
 from eval.diagnosis.pairs import pair_logs
 from narxcal.support.errors import ConfigError, DataError
+from tests.eval.diagnosis.conftest import lagged
 from training.diagnosis.budget import Interval
 
 NAME = "sensor_lag:EGT_C"
@@ -34,9 +35,9 @@ def answer(monkeypatch, make_budget):
     def set_to(kind="effects", effects=None):
         found = make_budget(kind, {NAME: LAG} if effects is None else effects)
 
-        def concluded(_evidence, _phases, doubts):
-            verdict = replace(nothing.verdict, reason="; ".join(doubts))
-            return replace(nothing, verdict=verdict) if doubts else found
+        def concluded(_evidence, _phases, doubts=(), refused=""):
+            verdict = replace(nothing.verdict, reason="; ".join(doubts) or refused)
+            return replace(nothing, verdict=verdict) if doubts or refused else found
 
         monkeypatch.setattr(module, "fit_emulators", lambda _flights: (NoEmulator(),))
         monkeypatch.setattr(module, "weigh", lambda *_args: None)
@@ -67,13 +68,14 @@ def test_the_prediction_is_about_the_flights_that_are_held_out(answer, pair, pro
     assert alone.predicted == expected(here)
 
 
-def test_a_claim_that_makes_the_gap_larger_is_no_answer(answer, pair, probe):
-    answer("effects", {NAME: {"tau_s": Interval(20.0, 19.0, 21.0)}})
+@pytest.mark.parametrize("tau_s", [20.0, 1e-9])
+def test_a_claim_that_does_not_make_the_gap_smaller_is_no_answer(tau_s, answer, pair, probe):
+    answer("effects", {NAME: {"tau_s": Interval(tau_s, 0.9 * tau_s, 1.1 * tau_s)}})
     pairs = [pair(seed, probe) for seed in range(4)]
     found = diagnose_pairs(pairs[:3], pairs[3:])
     assert found.document["verdict"]["kind"] == "unknown"
     reason = (
-        r"the best candidate is lag of the EGT sensor .*, which makes the squared gap \d+ % larger"
+        r"the best candidate is lag of the EGT sensor .*, which takes -?\d+ % to -?\d+ % off what"
     )
     assert re.match(reason, found.document["verdict"]["reason"])
     assert found.document["shrink"]["realised"] == 0.0
@@ -185,9 +187,11 @@ def test_an_emulator_that_errs_more_than_the_gap_is_a_warning(answer, pair, prob
         def errors(self, flights):
             return np.full(len(flights.signals.outputs), 30.0)
 
-        def run(self, flights, told, pace=None, shift=None):
-            del pace, shift
-            return flights.y[np.arange(len(told)) % len(flights.y)]
+        def run(self, flights, told, pace=None, _shift=None):
+            y = flights.y[np.arange(len(told)) % len(flights.y)].copy()
+            if pace is not None and pace.fan_up[0] < 1.0:  # what the probe does
+                y[..., 2] = [lagged(row, 1.0, flights.signals.dt_s) for row in y[..., 2]]
+            return y
 
     answer("effects", {"spool_lag": {"factor": Interval(1.2, 1.1, 1.3)}})
     monkeypatch.setattr(module, "fit_emulators", lambda _flights: (Coarse(),))

@@ -5,7 +5,7 @@ import pytest
 
 from eval.diagnosis.drawings import drawing
 from narxcal.effects import LIBRARY, Signals, effect
-from narxcal.effects.signal_path import SensorEffect
+from narxcal.effects.signal_path import AIR_DATA, AirDataEffect, SensorEffect
 from training.diagnosis.budget import Interval
 
 INPUTS = ("TRA_deg", "ALT_ft", "Mach", "dT_C", "Approach", "ECS", "NAI", "WAI", "unlogged")
@@ -26,7 +26,11 @@ EVERY = {
     name: effect(name)
     for kind in LIBRARY
     for name in (
-        [kind] if not issubclass(LIBRARY[kind], SensorEffect) else [f"{kind}:{c}" for c in OUTPUTS]
+        [f"{kind}:{c}" for c in OUTPUTS]
+        if issubclass(LIBRARY[kind], SensorEffect)
+        else [f"{kind}:{c}" for c in AIR_DATA]
+        if issubclass(LIBRARY[kind], AirDataEffect)
+        else [kind]
     )
 }
 

@@ -101,6 +101,23 @@ def test_each_effect_that_is_named_bears_its_probability():
     assert [is_sure(document, names) for names in (named, named[:1])] == [False, True]
 
 
+def test_effects_that_flights_do_not_tell_apart_are_one_answer():
+    rows = [
+        {"id": name, "probability": p, "parameters": {"tau_s": size(1.0, 0.8, 1.2)}}
+        for name, p in (("actuator_lag", 0.62), ("accel_limit", 0.33))
+    ]
+    verdict = {
+        "kind": "ambiguous", "effects": ["actuator_lag"], "ambiguous_with": ["accel_limit"],
+        "reason": "", "separating_manoeuvre": "a slow ramp",
+    }  # fmt: skip
+    _, *said = sentences({"verdict": verdict, "effects": rows, "budget": []})
+    assert " ".join(said) == (
+        "One answer, which these flights do not divide: lag of the fuel metering valve "
+        "(actuator_lag) (62 %) or acceleration limited by the control (accel_limit) (33 %). "
+        "What would: a slow ramp."
+    )
+
+
 @pytest.mark.parametrize(
     ("name", "words"),
     [

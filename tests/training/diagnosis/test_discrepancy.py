@@ -44,7 +44,9 @@ def layers_of(learned, size):
     record = recorded(flights, wrong_by_itself(flights, 8) + late - flights.y)
     dictionary = Dictionary([effect(name) for name in NAMES], flights, None)
     noise, variance = learned.nuisances(record), learned.variance(record)
-    return further(Setting(record, variance, noise, dictionary, stored_odds(), learned), None, 1.0)
+    return further(Setting(record, variance, noise, dictionary, stored_odds(), learned), None, 1.0)[
+        0
+    ]
 
 
 def test_it_is_the_same_after_being_written_and_read(learned):

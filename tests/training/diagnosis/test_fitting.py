@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from narxcal.effects import effect, respond
-from tests.training.diagnosis.conftest import recorded
+from tests.training.diagnosis.conftest import NOISE, recorded
 from training.diagnosis.budget import interval, together
 from training.diagnosis.dictionary import Dictionary
 from training.diagnosis.fit import Frame
-from training.diagnosis.layers import Layer, Setting, further, stored_odds
+from training.diagnosis.layers import Layer, Setting, alike, further, stored_odds
 from training.diagnosis.metric import Metric, assumed_variance
 from training.diagnosis.nuisances import nuisances
 
@@ -25,6 +25,7 @@ PLANTED = {
     "sensor_gain:EGT_C": {"gain_pct": 4.0},
     "sensor_drift:N2_pct": {"rate_per_h": 20.0},
 }
+WHATEVER = replace(stored_odds(), enough=(-50.0, 0.0, 0.0, 0.0))  # whatever is found comes in
 
 
 @pytest.fixture(name="dictionary", scope="module")
@@ -114,13 +115,29 @@ def test_two_faults_are_two_layers_and_their_shares_add_up(flights, dictionary):
     frame = frame_of(record)
     setting = Setting(record, assumed_variance(record), frame.nuisances, dictionary, stored_odds())
     first = frame.refined(frame.fit(dictionary.nodes[names[1]]), dictionary)
-    layers = further(setting, Layer(first, (), 0.0, 0.0), frame.energy(frame.none))
+    layers, _ = further(setting, Layer(first, (), 0.0, 0.0), frame.energy(frame.none))
     assert {one.name for one in layers} == set(names)
     joint = together(frame, [one.single for one in layers])
     *effects, build, offsets = (each / record.span for each in joint.components())
     gap = record.gap / record.span
     assert ((gap - sum(effects)) ** 2).sum() < 0.2 * (gap**2).sum()
     assert ((gap - sum(effects) - build - offsets) ** 2).sum() <= (gap**2).sum()
+
+
+@pytest.mark.parametrize(("times", "same"), [(60.0, NAMES[4:5]), (1.0, [])])
+def test_what_flights_do_not_tell_apart_is_one_answer_and_never_added_up(flights, times, same):
+    names = ("time_skew:N2_pct", "sensor_lag:N2_pct", "sensor_gain:EGT_C")
+    nodes = Dictionary([effect(name) for name in names], flights, None)
+    late = respond([(effect(names[0]), np.array([[0.1]]))], flights, None)[0]
+    record = recorded(flights, late)  # with so many times the noise
+    noise = (times - 1.0) * NOISE * np.random.default_rng(3).standard_normal(late.shape)
+    record = replace(record, real=record.real + noise, noise=times * NOISE)
+    frame = frame_of(record)
+    fits = [frame.refined(frame.fit(each), nodes) for each in nodes.nodes.values()]
+    assert alike(frame, fits[0], fits, nodes) == tuple(same)
+    setting = Setting(record, assumed_variance(record), frame.nuisances, nodes, WHATEVER)
+    layers, _ = further(setting, Layer(fits[0], (), 0.0, 0.0, tuple(same)), 1.0)
+    assert not {*same} & {one.name for one in layers}
 
 
 def test_no_effect_at_all_is_a_joint_fit_of_nuisances(flights):

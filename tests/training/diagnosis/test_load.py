@@ -120,7 +120,7 @@ def test_a_load_that_only_shows_beside_another_effect_is_in_the_answer(flights):
     variance = assumed_variance(record)
     setting = Setting(record, variance, frame.nuisances, dictionary, odds)
     evidence = Evidence(frame, singles, *features(frame, singles), setting)
-    found = concluded(evidence, Phases(("all",), np.zeros(on.shape, dtype=int)))
+    found = concluded(evidence, Phases(("steady",), np.zeros(on.shape, dtype=int)))
     assert "unlogged_switch" in found.verdict.effects
     assert (found.on != on).mean() < 0.1
     rows = {one.name: one.probability for one in found.effects}

@@ -1,5 +1,7 @@
 """A verdict says what it rests on: the flights there are, and how much builds may differ."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -22,7 +24,7 @@ class NoEmulator:
 
 
 def answer(record, build=1.0, odds=None):
-    phases = Phases(("all",), np.zeros(record.unit.shape, dtype=int))
+    phases = Phases(("steady",), np.zeros(record.unit.shape, dtype=int))
     return concluded(weigh(record, Engines(NoEmulator()), Differences(build=build), odds), phases)
 
 
@@ -43,16 +45,21 @@ def test_a_shift_that_builds_differ_by_is_none_and_an_effect_of_this_very_engine
     assert same.effects[0].partition(":")[0] in ("deterioration", "sensor_bias", "sensor_gain")
 
 
+def by_odds(record, none, unknown):
+    """The answer where none and unknown are so many times as likely as the best effect."""
+    found = weigh(record, Engines(NoEmulator()))
+    names = [one.name for one in found.singles]
+    lead = max(row[0] + prior(n) for n, row in zip(names, found.effects, strict=True))
+    flat, case = (0.0,) * len(FEATURES), (0.0,) * len(OF_CASE)
+    scores = [(lead + np.log(times), *case[1:]) for times in (none, unknown)]
+    return answer(record, odds=Odds((1.0, *flat[1:]), *scores, flat, case))
+
+
 @pytest.mark.parametrize(
     ("none", "unknown", "kind"), [(0.6, 0.6, "unknown"), (1.5, 0.1, "none"), (0.1, 1.5, "unknown")]
 )
 def test_nothing_acts_only_where_no_other_answer_is_likelier(flights, none, unknown, kind):
-    record = recorded(flights, flights.y + 8.0 * SHIFT)
-    rows = answer(record).facts["features"]
-    lead = max(row[0] + prior(name) for name, row in rows.items())
-    flat, case = (0.0,) * len(FEATURES), (0.0,) * len(OF_CASE)
-    scores = [(lead + np.log(times), *case[1:]) for times in (none, unknown)]  # of the best effect
-    found = answer(record, odds=Odds((1.0, *flat[1:]), *scores, flat, case))
+    found = by_odds(recorded(flights, flights.y + 3.5 * SHIFT), none, unknown)
     best = max(found.effects, key=lambda one: one.probability)
     assert found.none == pytest.approx(none * best.probability)
     assert (found.verdict.kind, found.verdict.effects) == (kind, ())
@@ -64,6 +71,36 @@ def test_nothing_acts_only_where_no_other_answer_is_likelier(flights, none, unkn
         f"library lacks ({100.0 * found.unknown:.0f} %)",
     }
     assert found.verdict.reason.startswith(reason[none])
+
+
+PLACES = {  # where EGT is off, by N1 and the minutes of a flight, and what is said of it
+    "power": (80.0, 0.0, r"( that grows with power)?, \+\d+ degC at 8\d % N1"),
+    "time": (0.0, 4.0, r"( that grows with time)?, \+\d+ degC [45] min into a flight"),
+}
+
+
+@pytest.mark.parametrize("along", PLACES)
+def test_what_is_left_beyond_noise_and_build_is_not_nothing_and_has_a_place(flights, along):
+    speed, minutes, words = PLACES[along]
+    time_min = np.arange(flights.y.shape[1]) * flights.signals.dt_s / 60.0
+    there = np.clip((flights.y[..., 0] - speed) / 10.0, 0.0, 1.0) * (time_min >= minutes)
+    y = flights.y + 150.0 * there[..., None] * np.array([0.0, 0.0, 1.0])
+    found = by_odds(recorded(flights, y), 1.5, 0.1).verdict
+    assert (found.kind, found.effects) == ("unknown", ())
+    assert re.fullmatch(f"not in the library: a steady EGT error{words}", found.reason)
+
+
+@pytest.mark.parametrize("shape", ["place", "wave"])
+def test_of_this_very_engine_what_is_left_is_never_nothing(flights, shape):
+    time = np.broadcast_to(np.arange(flights.y.shape[1]), flights.y.shape[:2])
+    wave = np.sin(flights.y[..., 0] / 8.0) if shape == "place" else np.sin(time)
+    record = recorded(flights, flights.y + 30.0 * wave[..., None] * np.array([0.0, 0.0, 1.0]))
+    flat, case = (0.0,) * len(FEATURES), (0.0,) * len(OF_CASE)
+    odds = Odds((1.0, *flat[1:]), (50.0, *case[1:]), (50.0, *case[1:]), flat, case)
+    found = answer(record, 0.0, odds)
+    assert (found.verdict.kind, found.verdict.effects) == ("unknown", ())
+    assert (found.none, found.unknown) == pytest.approx((0.0, 1.0))
+    assert ("EGT error of 21 degC RMS" in found.verdict.reason) == (shape == "wave")
 
 
 def test_of_this_very_engine_nothing_else_differs_but_flights(flights):
