@@ -86,12 +86,6 @@ def test_hdf5_reads_its_own_samples_alone(tmp_path, make, words):
     assert words in str(error.value)
 
 
-def test_a_complex_column_is_no_column_of_numbers(tmp_path):
-    with h5py.File(tmp_path / "log.h5", "w") as file:
-        file["N1"], file["time"] = np.full(9, 1j), np.arange(9.0)
-    assert open_binary(tmp_path / "log.h5", "").header == ("time",)
-
-
 ROW = {"tail": "N1", "batch": 0, "file": "N1/a.csv", "size": 9, "sha256": "", "engine": ""}
 
 
