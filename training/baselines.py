@@ -21,7 +21,7 @@ with the best free run over the training logs is taken.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
@@ -148,17 +148,11 @@ class Baselines:
 
     @classmethod
     def from_json(cls, params: Mapping[str, Any]) -> Baselines:
-        """Rebuild what `fit_baselines` returned; `ModelError` where a part does not fit the others.
-
-        Older versions have no output error.
-        """
+        """Rebuild what `fit_baselines` returned; `ModelError` for parts that do not fit."""
         table = {"lag": params.get("first_order"), **params}
         for kind in ("arx", "output_error"):
             if isinstance(table.get(kind), Mapping):
                 table[kind] = {"kind": kind, **table[kind]}
-        if "output_error" not in table and isinstance(table.get("low"), Sequence):
-            found = Linear.of("output_error", [Member("output_error", 0)] * len(table["low"]))
-            table["output_error"] = asdict(found)
         return read_stored(cls, table, "baselines")
 
     def __post_init__(self) -> None:
