@@ -81,8 +81,8 @@ class Runs(RuleBasedStateMachine):
             return
         try:
             code = self.attempt(lambda: save_bundle(run, other, replace=True) or 0, kill_at)
-        except ConfigError:  # by a damaged schema it does not show to be ours
-            assert self.damaged[name][0].name == "bundle.json"
+        except ConfigError:  # it holds results, or by a damaged schema does not show to be ours
+            assert name in self.results or self.damaged[name][0].name == "bundle.json"
             return
         former = self.seeds.get(name, {None})
         if code == 0 or not former:
