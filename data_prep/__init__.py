@@ -1,6 +1,6 @@
 """Flight-test logs on a uniform sampling grid: read, clean, smooth, cut into pushes and pulls.
 
-Steps whose module bears their own name come from there: `from data_prep.clean import clean`.
+Steps whose module bears their own name come from there: `from data_prep.prepare import prepare`.
 """
 
 from data_prep.config import LogsConfig

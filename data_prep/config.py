@@ -16,9 +16,9 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, PositiveFloat, field_validator, model_validator
 
-from data_prep.clock import Order
 from data_prep.derive import DeriveConfig
-from data_prep.units import find_unit, is_volume_flow
+from data_prep.sources.clock import Order
+from data_prep.sources.units import find_unit, is_volume_flow
 from narxcal.channels import CHANNELS, ENDINGS, Channel, Role, channel, described, symbol
 from narxcal.support.errors import ConfigError, DataError
 from narxcal.support.files import is_file, is_folder
@@ -118,11 +118,11 @@ class LogsConfig(Section):
 
     `dates` is the order of day, month and year where the stamps do not settle it; `frames_hz`
     the frames of a second in stamps `HH:MM:SS:FF`. `no_value` are further words that stand for
-    no value, in addition to `data_prep.words.NO_VALUE`. `instances` are columns that tell the
-    engines, units or recordings in a file apart: each combination of their values becomes a
+    no value, in addition to `data_prep.cleaning.words.NO_VALUE`. `instances` are columns that tell
+    the engines, units or recordings in a file apart: each combination of their values becomes a
     log. `channels` are declared beyond the table of `narxcal.channels`. `flights` are patterns of
     file names in which `{flight}` stands for what the files of one flight share: they become one
-    recording (`data_prep.log_file`).
+    recording (`data_prep.sources.log_file`).
     """
 
     folder: str = "."

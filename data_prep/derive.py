@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field, PositiveFloat
 
-from data_prep.units import find_unit, to_canonical
+from data_prep.sources.units import find_unit, to_canonical
 from narxcal.atmosphere import (
     KELVIN,
     SOUND_KT,

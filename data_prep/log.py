@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 
-from data_prep.identity import Identity
+from data_prep.cleaning.identity import Identity
 from narxcal.channels import Channel, described
 from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import DataError
@@ -173,8 +173,8 @@ class Log:
     `interpolated` (channel -> bool `(time,)`) is True where the sample lies between two
     measurements of a channel slower than the grid; faster channels are not in it.
     `declared` are channels of the configuration, beyond the table of `narxcal.channels`.
-    `findings` are those of `data_prep.plausibility` and `training.screening`, `updates` (channel ->
-    s) how often a channel changes.
+    `findings` are those of `data_prep.cleaning.plausibility` and `training.screening.screen`,
+    `updates` (channel -> s) how often a channel changes.
     """
 
     name: str

@@ -10,7 +10,9 @@ from typing import NamedTuple, Self
 import numpy as np
 from pydantic import model_validator
 
-from data_prep.clean import CleanConfig, clean
+from data_prep.cleaning.clean import CleanConfig, clean
+from data_prep.cleaning.plausibility import checked, of_cleaning
+from data_prep.cleaning.smooth import SmoothConfig, blurs, smooth
 from data_prep.config import ENGINE, LogsConfig
 from data_prep.equilibrium import (
     BELOW_IDLE,
@@ -20,11 +22,9 @@ from data_prep.equilibrium import (
     while_running,
 )
 from data_prep.events import Event, EventsConfig, find_events, needs_condition
-from data_prep.grid import SLOW
 from data_prep.log import CODE_WORD, LONG_SPAN_S, AuditEntry, Log
-from data_prep.plausibility import checked, of_cleaning
 from data_prep.ranking import other_driver
-from data_prep.smooth import SmoothConfig, blurs, smooth
+from data_prep.sources.grid import SLOW
 from narxcal.channels import spools_of
 from narxcal.support.arrays import BoolArray, sample_and_hold, spans
 from narxcal.support.errors import DataError

@@ -1,8 +1,8 @@
 """Files to logs: every recording of every engine of a file, on a uniform sampling grid.
 
-A file is opened once as a `LogFile` and read once, block by block, through `data_prep.stream`, so
-that memory holds the logs and one block; several files of one flight are a `Flight`. `narxcal
-replay` reads by the same classes.
+A file is opened once as a `LogFile` and read once, block by block, through
+`data_prep.sources.stream`, so that memory holds the logs and one block; several files of one flight
+are a `Flight`. `narxcal replay` reads by the same classes.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 
 from data_prep.config import LogsConfig
-from data_prep.csv_source import Counts
 from data_prep.log import Audit, Log, Source
-from data_prep.log_file import Flight, LogFile, Rows, open_log
-from data_prep.stamps import Passed, all_apart, clock_goes_on, ordered_rows, usual_interval
-from data_prep.stream import GridStream, Piece
+from data_prep.sources.csv_source import Counts
+from data_prep.sources.log_file import Flight, LogFile, Rows, open_log
+from data_prep.sources.stamps import Passed, all_apart, clock_goes_on, ordered_rows, usual_interval
+from data_prep.sources.stream import GridStream, Piece
 from narxcal.support.errors import DataError
 
 _LEAST_AHEAD_S = 5.0  # of rows in the next block, to bridge blanks of slow channels
@@ -36,8 +36,9 @@ def read_logs(
 
     Channels are canonical `(time,)` float64, NaN where missing; derived channels are included.
     Rows are put in order of time, split where they are more than `max_gap_s` apart, and laid on
-    the grid as `data_prep.grid.resample` states; the audit of each log counts every row and sample
-    that was dropped, moved, filled or left missing. `folder` and `files` of `config` are not used.
+    the grid as `data_prep.sources.grid.resample` states; the audit of each log counts every row and
+    sample that was dropped, moved, filled or left missing. `folder` and `files` of `config` are not
+    used.
 
     Raises `DataError` (file, channel, row) for what the files hold, `ConfigError` for a
     configuration that cannot apply to them.

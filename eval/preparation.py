@@ -9,18 +9,18 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from data_prep.clean import clean
+from data_prep.cleaning.clean import clean
+from data_prep.cleaning.plausibility import checked, of_cleaning
+from data_prep.cleaning.smooth import compare_windows, frequency_response, moving_average, smooth
 from data_prep.events import PUSH, Event
 from data_prep.log import Log
-from data_prep.plausibility import checked, of_cleaning
 from data_prep.prepare import LogWarning, Prepared, in_lines
 from data_prep.ranking import STRONG, pearson, ranked
-from data_prep.smooth import compare_windows, frequency_response, moving_average, smooth
 from eval.report.figures import WindowTrial
 from eval.report.view import LogView
 from narxcal.support.errors import DataError
 from training.config import RunConfig
-from training.transients import AssessedEvent
+from training.responses.transients import AssessedEvent
 
 # The paper compares these, section 2.4.
 WINDOWS = (3, 11, 21)
@@ -33,7 +33,7 @@ class LogReport:
     """One prepared log and what was found in it.
 
     `ranking` has inputs as rows, strongest first, and outputs as columns; `windows` is that of
-    `data_prep.smooth.compare_windows` on the cleaned log, and `trial` its figure.
+    `data_prep.cleaning.smooth.compare_windows` on the cleaned log, and `trial` its figure.
     """
 
     log: Log

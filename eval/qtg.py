@@ -1,9 +1,9 @@
 """A qualification test guide: which events are its tests, their results, and its JSON document.
 
-A test is one event of `eval.log_evaluation`, with the same assessments to the last digit. What is
-chosen, titled and annotated stands in a TOML or CSV file of tests (`TestsFile`); `start_file`
-writes one of all events found. A `Guide` that was saved is the master of later, recurrent
-evaluations.
+A test is one event of `eval.judging.log_evaluation`, with the same assessments to the last digit.
+What is chosen, titled and annotated stands in a TOML or CSV file of tests (`TestsFile`);
+`start_file` writes one of all events found. A `Guide` that was saved is the master of later,
+recurrent evaluations.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from pydantic import Field
 
 from data_prep.events import AUTO, find_events
 from data_prep.log import Log
-from eval.free_run import MODEL
-from eval.log_evaluation import LogEvaluation, assess_log, overlay_of
+from eval.judging.free_run import MODEL
+from eval.judging.log_evaluation import LogEvaluation, assess_log, overlay_of
 from eval.report.view import LogView
 from eval.run_logs import run_config
 from narxcal.calibration.bundle import Bundle, seal
@@ -35,8 +35,8 @@ from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, DataError, did_you_mean
 from narxcal.support.files import finite, versions
 from narxcal.support.settings import Section, in_toml, read_toml
-from training.rules import Manoeuvre, Rules
-from training.transients import AssessedEvent, Assessment, TransientsConfig, assessed
+from training.responses.rules import Manoeuvre, Rules
+from training.responses.transients import AssessedEvent, Assessment, TransientsConfig, assessed
 
 SCHEMA: Final = "narxcal.qtg/1"
 TESTS_SCHEMA: Final = "narxcal.qtg_tests/1"
@@ -402,7 +402,7 @@ def evaluate_events(
 ) -> Evaluated:
     """Evaluate prepared logs; `recorded` are the same before smoothing.
 
-    Raises as `eval.log_evaluation.assess_log`.
+    Raises as `eval.judging.log_evaluation.assess_log`.
     """
     config, judged = run_config(bundle)
     judged = judged.model_copy(update={"transients": settings})

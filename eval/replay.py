@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from data_prep.cleaning.faults import out_of_range
 from data_prep.config import LogsConfig
-from data_prep.csv_source import Pace
-from data_prep.faults import out_of_range
 from data_prep.log import Finding
-from data_prep.log_file import open_log
-from data_prep.stream import Piece
+from data_prep.sources.csv_source import Pace
+from data_prep.sources.log_file import open_log
+from data_prep.sources.stream import Piece
 from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.calibration import Calibration
 from narxcal.calibration.fuser import FastFuser

@@ -23,15 +23,15 @@ from typing import Protocol, TypeAlias, TypeVar
 import pandas as pd
 from matplotlib.figure import Figure
 
+from data_prep.cleaning.identity import duplicates
 from data_prep.equilibrium import while_running
-from data_prep.identity import duplicates
 from data_prep.log import Log
 from data_prep.prepare import cautions
 from data_prep.reading import read_logs
-from eval.evaluate import Evaluation, outside_envelopes
-from eval.evaluate import evaluate as evaluate_logs
-from eval.log_evaluation import LogEvaluation, assess_log
-from eval.outcome import Outcome
+from eval.judging.evaluate import Evaluation, outside_envelopes
+from eval.judging.evaluate import evaluate as evaluate_logs
+from eval.judging.log_evaluation import LogEvaluation, assess_log
+from eval.judging.outcome import Outcome
 from eval.preparation import (
     LogReport,
     cautions_about,

@@ -7,20 +7,20 @@ from pathlib import Path
 
 from pydantic import Field
 
-from data_prep.grid import joined
 from data_prep.log import Finding, Log
 from data_prep.prepare import prepare, with_outputs
 from data_prep.reading import read_logs
-from eval.trim import TrimConfig
+from data_prep.sources.grid import joined
+from eval.judging.trim import TrimConfig
 from narxcal.calibration.bundle import Bundle
 from narxcal.support.errors import DataError, ModelError
 from narxcal.support.settings import Section
 from training.config import RunConfig
 from training.folds import CrossvalConfig
 from training.records import split_logs
-from training.redundancy import Bank
-from training.screening import screened
-from training.transients import TransientsConfig
+from training.responses.transients import TransientsConfig
+from training.screening.redundancy import Bank
+from training.screening.screen import screened
 
 
 class EvaluateConfig(Section):
@@ -31,7 +31,7 @@ class EvaluateConfig(Section):
     `least_passed_pct` of the assessed events have to pass. `largest_rmse` (channel -> value in
     its unit) bounds the RMSE pooled over the logs; none is bounded by default. `least_events`
     pushes and pulls and `least_judged_pct` of each output are the least evidence of a pass
-    (`eval.evidence`).
+    (`eval.judging.evidence`).
     """
 
     transients: TransientsConfig = TransientsConfig()

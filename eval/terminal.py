@@ -10,18 +10,18 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from eval.outcome import Outcome
+from eval.judging.outcome import Outcome
 from eval.report.style import number, unit, with_unit
 from eval.report.tables import measures
 from narxcal.channels import symbol
 from narxcal.intervals import LEVEL
-from training.transients import Assessment
+from training.responses.transients import Assessment
 
 if TYPE_CHECKING:
-    from eval.compare import Comparison
-    from eval.crossval import CrossValidation
-    from eval.log_evaluation import LogEvaluation
-    from eval.scores import ChannelScores
+    from eval.judging.compare import Comparison
+    from eval.judging.crossval import CrossValidation
+    from eval.judging.log_evaluation import LogEvaluation
+    from eval.judging.scores import ChannelScores
 
 _WORDS = {True: ("PASS", "bold green"), False: ("FAIL", "bold red"), None: ("NOT ASSESSED", "bold")}
 _BASELINES = ("steady", "1st order", "ARX")

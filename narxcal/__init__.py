@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from narxcal.narx.config import NarxConfig
     from narxcal.record import Record
     from narxcal.support.errors import ConfigError, DataError, ModelError, NarxcalError
-    from training.estimator import Narx
+    from training.estimator.narx import Narx
 
 __all__ = [
     "Bundle",
@@ -67,7 +67,7 @@ def __getattr__(name: str) -> object:
     """Import a public name when it is first used (PEP 562)."""
     # The imports upwards are declared to import-linter in pyproject.toml.
     if name == "Narx":
-        from training import estimator  # noqa: PLC0415
+        from training.estimator import narx as estimator  # noqa: PLC0415
 
         value: object = estimator.Narx
     elif name == "diagnose":

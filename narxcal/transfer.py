@@ -130,7 +130,7 @@ def _second(
 
 @dataclass(frozen=True)
 class ResponseFromSteady:
-    """One output behind its steady value, as a model for `training.output_error.fit`.
+    """One output behind its steady value, as a model for `training.papers.output_error.fit`.
 
     Inputs (time, 1 + nodes) are u and W. Parameters are NAME_OUTPUT@NODE; `start_s` is the time
     constant to start from.

@@ -50,8 +50,8 @@ from narxcal.support.files import sha256_of
 from tests.golden.test_golden import FORMS, GOLDEN, resealed
 from training import methods
 from training.config import load_config
+from training.dynamics.network import TrainingState
 from training.methods import read_checkpoint, write_checkpoint
-from training.network import TrainingState
 
 ROOT = Path(__file__).parents[1]
 LIMIT_S, LIMIT_MB = 20, 3000

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 import narxcal as nx
 from data_prep import Audit, AuditEntry, Event, EventsConfig, Log, find_events, read_logs
-from data_prep.clean import CleanConfig, clean
+from data_prep.cleaning.clean import CleanConfig, clean
+from data_prep.cleaning.smooth import SmoothConfig, smooth
 from data_prep.prepare import Prepared, prepare
-from data_prep.smooth import SmoothConfig, smooth
 from eval.results import Judgement, PreparedLogs, Recordings, Training
 from narxcal import (
     Bundle,
@@ -40,9 +40,9 @@ from narxcal.channels import CHANNELS, Channel, channel
 from narxcal.flight_test.fly import VirtualLog, fly, load_scenario, write_flights
 from narxcal.flight_test.scenario import FlightScenario
 from narxcal.turbofan import VirtualEngine, maker_model
-from training import transients
 from training.config import RunConfig, load_config
-from training.transients import Assessment, Overlay, TransientsConfig
+from training.responses import transients
+from training.responses.transients import Assessment, Overlay, TransientsConfig
 
 Floats = NDArray[np.float64]
 

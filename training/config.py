@@ -64,8 +64,8 @@ class SteadyStateConfig(Section):
     blends curves over `driver` (that of [events] where it is empty) between the extremes of
     `blend`. `exponents` are the ratios of the air whose exponents are fitted, not those of
     similarity. `switches` add a line each while they are on; they are inputs whether named there or
-    not. What is "auto" is chosen by the training logs (see training.steady_choice). The other
-    kinds load `source`: a CSV table, `module:function` or an FMU file.
+    not. What is "auto" is chosen by the training logs (see training.steady.steady_choice). The
+    other kinds load `source`: a CSV table, `module:function` or an FMU file.
     """
 
     kind: Kind = "fitted"
@@ -175,8 +175,8 @@ class TrainConfig(Section):
     second half of each is scored.
     With `emphasis = "motion"` transients weigh more than equilibrium, their onset most, and low
     power more than high. Held-out parts of the training logs say which model leads a speed, and
-    with which weights the models are mixed in another output (see `training.mixture`); `choice_s`
-    are the nominal CPU seconds that these may take, 0 for the network alone.
+    with which weights the models are mixed in another output (see `training.dynamics.mixture`);
+    `choice_s` are the nominal CPU seconds that these may take, 0 for the network alone.
     `delay_s` is the transport delay of the driver, found on held-out logs where it is "auto".
     """
 

@@ -3,7 +3,7 @@
 | [identify] method | steady state | dynamics |
 |---|---|---|
 | narx | fitted or the maker's | lags, network, choice between them and simple models |
-| output-error, transfer, subspace | the same | `training.identify` |
+| output-error, transfer, subspace | the same | `training.papers.identify` |
 | static:NAME | the law of that name | none |
 
 A training of networks writes its progress after every step to a safetensors file: the arrays as
@@ -34,13 +34,11 @@ from narxcal.steady.model import SteadyStateModel
 from narxcal.support.errors import ModelError
 from narxcal.support.files import atomic_write_bytes
 from narxcal.support.progress import Progress, silent
-from training.baselines import fit_baselines
 from training.config import STATIC, RunConfig
-from training.identify import Identified, output_error, static_laws, subspace_model, transfer
-from training.lags import choose_form, fit_lags
-from training.masking import Learnable
-from training.mixture import HeldRun, Mixture, choose_mixture, network_alone
-from training.network import (
+from training.dynamics.baselines import fit_baselines
+from training.dynamics.lags import choose_form, fit_lags
+from training.dynamics.mixture import HeldRun, Mixture, choose_mixture, network_alone
+from training.dynamics.network import (
     FitResult,
     HistoryRow,
     Material,
@@ -48,11 +46,13 @@ from training.network import (
     fit_narx,
     merge_models,
 )
-from training.optimisers import Damping, Moments
+from training.dynamics.optimisers import Damping, Moments
+from training.dynamics.transport import DelayChoice, choose_delay, delayed
+from training.papers.identify import Identified, output_error, static_laws, subspace_model, transfer
 from training.records import Split, material, structure_of
-from training.steady_choice import contradicting, steady_state, with_layout, without
-from training.steady_fit import SteadyQuality
-from training.transport import DelayChoice, choose_delay, delayed
+from training.screening.masking import Learnable
+from training.steady.steady_choice import contradicting, steady_state, with_layout, without
+from training.steady.steady_fit import SteadyQuality
 
 CHECKPOINT = "checkpoint-{}.safetensors"
 _CHECKPOINT_SCHEMA = "narxcal.checkpoint/1"
@@ -63,7 +63,8 @@ class TrainOptions:
     """How to run a training: who shows progress, where checkpoints go, whether to resume from them.
 
     `screened` logs have the faults that
-    `training.masking.by_each_other` finds, such as parts of logs that were screened whole.
+    `training.screening.masking.by_each_other` finds, such as parts of logs that were screened
+    whole.
     """
 
     progress: Progress = silent

@@ -21,7 +21,7 @@ from typing import Any, Final, TypeVar
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from data_prep.identity import refuse_duplicates
+from data_prep.cleaning.identity import refuse_duplicates
 from data_prep.log import Finding, Log
 from data_prep.prepare import cautions, hold_inputs, prepare
 from data_prep.reading import read_logs, shared_interval_s
@@ -45,16 +45,16 @@ from narxcal.support.arrays import FloatArray, known_mean
 from narxcal.support.errors import DataError
 from narxcal.support.parallel import in_processes
 from narxcal.support.progress import Progress, silent
-from training.baselines import Baselines, run_of
 from training.config import RunConfig, SplitConfig
+from training.dynamics.baselines import Baselines, run_of
+from training.dynamics.mixture import HeldRun
 from training.folds import Plan
-from training.levels import prior_scatter
-from training.masking import learnable
 from training.methods import TrainOptions, method_of
-from training.mixture import HeldRun
 from training.records import LEAST_WIDTHS, Split, split_logs
-from training.redundancy_fit import learn
-from training.steady_fit import SteadyQuality
+from training.screening.levels import prior_scatter
+from training.screening.masking import learnable
+from training.screening.redundancy_fit import learn
+from training.steady.steady_fit import SteadyQuality
 
 T = TypeVar("T")
 # Scatter of recordings of a fleet, as a share of the tolerance that level checks allow. Its prior
@@ -140,7 +140,7 @@ def calibrate(
 ) -> Bundle:
     """Fit or load the steady-state model, identify the dynamics, estimate the fuser's noise.
 
-    Faults of the logs to learn from are masked first (`training.masking`).
+    Faults of the logs to learn from are masked first (`training.screening.masking`).
 
     The bundle's `config` is the resolved one, in which nothing is "auto"; `configured` is the one
     given.

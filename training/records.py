@@ -40,7 +40,7 @@ from narxcal.steady.model import SteadyStateModel
 from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import ConfigError, DataError
 from training.config import RunConfig, SplitConfig
-from training.network import Material
+from training.dynamics.network import Material
 
 # Narrower ranges of the air say little of how it acts. Over these, a third of the pressure at sea
 # level goes, ram adds a tenth to it, and the absolute temperature changes by a tenth.

@@ -19,7 +19,7 @@ from data_prep.log import Log
 from data_prep.prepare import hold_inputs, prepare
 from data_prep.reading import read_logs
 from eval.benchmarks import Row
-from eval.evaluate import Evaluation, evaluate
+from eval.judging.evaluate import Evaluation, evaluate
 from eval.report.event_figures import summary_figure
 from eval.report.view import view_of
 from eval.run_logs import evaluation_logs, run_config
@@ -32,7 +32,7 @@ from training.config import RunConfig, load_config
 from training.folds import leave_one_flight_out
 from training.pipeline import calibrate, configured_files
 from training.records import Split
-from training.transients import AssessedEvent, Tally, tally
+from training.responses.transients import AssessedEvent, Tally, tally
 
 _SOURCE = "our goal"
 _PART = 0.2

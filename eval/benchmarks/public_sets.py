@@ -18,13 +18,13 @@ import numpy as np
 import pandas as pd
 
 from eval.benchmarks import Row
-from eval.scores import rms
+from eval.judging.scores import rms
 from narxcal.narx.forms import DynamicModel
 from narxcal.record import Record
 from narxcal.support.errors import DataError
 from narxcal.support.progress import Progress, silent
-from training.estimator import Narx
-from training.ladder import Limits, choose
+from training.estimator.ladder import Limits, choose
+from training.estimator.narx import Narx
 
 SCHEMA = "narxcal.benchmark/1"
 OURS, FIXED, LINEAR, PUBLISHED = "Narx()", "Narx(None)", "linear", "published"

@@ -23,24 +23,24 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import minimize
 
-from data_prep.grid import joined
 from data_prep.log import Finding, Log, Source
 from data_prep.prepare import hold_inputs, prepare, with_outputs
 from data_prep.reading import read_logs, shared_interval_s
+from data_prep.sources.grid import joined
 from eval.benchmarks import Row
-from eval.evaluate import Evaluation, evaluate
+from eval.judging.evaluate import Evaluation, evaluate
 from eval.run_logs import bank_of
 from narxcal.channels import channel
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import NarxcalError
 from training.config import RunConfig, load_config
-from training.masking import by_each_other
 from training.pipeline import calibrate
 from training.records import Split
-from training.redundancy import is_measured
-from training.redundancy_fit import learn
-from training.scatter import PRIORS, Priors, ScatterPrior, StepPrior
-from training.screening import screened
+from training.screening.masking import by_each_other
+from training.screening.redundancy import is_measured
+from training.screening.redundancy_fit import learn
+from training.screening.scatter import PRIORS, Priors, ScatterPrior, StepPrior
+from training.screening.screen import screened
 
 SETS: Final = ("citation", "a321", "jetcat", "test_cell", "micro_gas_turbine", "agtf30")
 _SLACK_S: Final = 5.0

@@ -6,8 +6,8 @@ runs the same network in turn with ours. Replay: CSV to CSV with the fuser on a 
 32 Hz.
 
 `python -m eval.benchmarks.speed` prints the rates by which a choice counts its work
-(`training/search.py`): least squares on the relative error of the microseconds per accepted step of
-Levenberg-Marquardt, with all that a fit does around it. Run it on a quiet machine.
+(`training/estimator/search.py`): least squares on the relative error of the microseconds per
+accepted step of Levenberg-Marquardt, with all that a fit does around it. Run it on a quiet machine.
 """
 
 from __future__ import annotations
@@ -43,14 +43,14 @@ from narxcal.narx.network import NarxModel, Scaling
 from narxcal.record import Record
 from narxcal.support.arrays import FloatArray
 from training.config import RunConfig, load_config
-from training.forms import drawn_networks, network_kind, network_size
-from training.free_run import FreeRunProblem, cut_windows
-from training.latent import Data, at_decay, fit_linear, grown
-from training.network import Material, net_of, new_model
-from training.optimisers import adam
+from training.dynamics.network import Material, net_of, new_model
+from training.dynamics.optimisers import adam
+from training.estimator.forms import drawn_networks, network_kind, network_size
+from training.estimator.free_run import FreeRunProblem, cut_windows
+from training.estimator.latent import Data, at_decay, fit_linear, grown
+from training.estimator.search import counted
 from training.pipeline import calibrate, prepare_logs
 from training.records import Split
-from training.search import counted
 
 _KERNEL_GROUP, _PEER = "speed", "tsfast 0.5, C++ kernel in float32"
 _NETWORK = NarxConfig(lags=2, taps=(0, 1), hidden=30)

@@ -22,8 +22,8 @@ import pandas as pd
 
 from eval.benchmarks import Row
 from eval.diagnosis.blind.lumped import LumpedEngine
-from eval.evaluate import Evaluation, evaluate
-from eval.free_run import ARX, FIRST_ORDER
+from eval.judging.evaluate import Evaluation, evaluate
+from eval.judging.free_run import ARX, FIRST_ORDER
 from narxcal.channels import channel
 from narxcal.flight_test.fly import fly
 from narxcal.flight_test.pilot import SIDES

@@ -51,7 +51,7 @@ from eval.diagnosis.pairs import Pair, check_apart, files_in, log_name, read_pai
 from eval.diagnosis.simulators import Rerun, Simulate, Simulator, open_simulator
 from eval.diagnosis.where import locate
 from eval.diagnosis.words import in_words, listed, outcome, percent
-from eval.log_evaluation import role_of
+from eval.judging.log_evaluation import role_of
 from eval.report import plot
 from eval.report.tables import Shown, Summary
 from eval.run_logs import evaluation_logs, run_config

@@ -9,8 +9,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from data_prep.cleaning.plausibility import conversions
 from data_prep.events import PULL, PUSH
-from data_prep.plausibility import conversions
 from eval.diagnosis.applied import GAP_SCHEMA, signals_to_json
 from eval.diagnosis.expected import ChannelShrink, HeldOut, TimeShrink, Values
 from eval.diagnosis.flights import GapData

@@ -32,7 +32,7 @@ from narxcal.effects.steady import UnloggedSwitch
 from narxcal.support.arrays import FloatArray, IntArray
 from narxcal.support.errors import ConfigError
 from training.diagnosis.budget import Interval
-from training.response import Transient, TransientConfig, measure_transient
+from training.responses.response import Transient, TransientConfig, measure_transient
 
 Values = Mapping[str, Mapping[str, float]]  # effect -> parameter -> value
 

@@ -18,7 +18,7 @@ from narxcal.support.arrays import FloatArray, IntArray, block_means, noise_leve
 from narxcal.support.errors import DataError
 from training.diagnosis.budget import Phases
 from training.diagnosis.metric import TOLERANCE, Record
-from training.response import HIGH, LOW
+from training.responses.response import HIGH, LOW
 
 Regimes = dict[str, tuple[tuple[str, ...], IntArray]]
 DIRECTIONS = ("push", "pull", "steady")

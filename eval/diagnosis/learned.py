@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-from data_prep.clean import clean
+from data_prep.cleaning.clean import clean
 from data_prep.log import Finding, Log
 from data_prep.prepare import prepare
 from data_prep.reading import read_logs

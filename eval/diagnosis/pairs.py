@@ -18,13 +18,13 @@ from types import MappingProxyType
 
 import numpy as np
 
-from data_prep.clean import clean
+from data_prep.cleaning.clean import clean
+from data_prep.cleaning.faults import out_of_range
 from data_prep.config import LogsConfig
-from data_prep.faults import out_of_range
 from data_prep.log import AuditEntry, Finding, Log
-from data_prep.log_file import open_table
 from data_prep.prepare import hold_inputs
 from data_prep.reading import read_logs
+from data_prep.sources.log_file import open_table
 from eval.diagnosis.simulators import Simulate
 from narxcal.channels import CHANNELS, described
 from narxcal.support.arrays import FloatArray, bridge_gaps, long_runs, spans

@@ -9,9 +9,9 @@ Their Kullback-Leibler divergence is half the squared distance
 
 and the likelier one is the right one with probability Phi(d / 2) (Anderson, *An Introduction to
 Multivariate Statistical Analysis*, section 6.4). Inner products by V^-1 of moves add up, so that
-they are what `eval.card` plans by; it maximises the mean divergence of pairs, weighted by their
-probabilities. The chances that a card states are those of the whole flight, with what lies between
-the moves. Errors of a simulator are slow, 25 of them in eight minutes are independent
+they are what `eval.cards.card` plans by; it maximises the mean divergence of pairs, weighted by
+their probabilities. The chances that a card states are those of the whole flight, with what lies
+between the moves. Errors of a simulator are slow, 25 of them in eight minutes are independent
 (`training.diagnosis.metric`): the variance of a sample is as much larger as a sample is shorter.
 """
 
@@ -26,7 +26,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from scipy.special import ndtr
 
-from eval.card import Card, Flown, Step, Wanted, admitted, check_channels, planned
+from eval.cards.card import Card, Flown, Step, Wanted, admitted, check_channels, planned
 from eval.diagnosis.applied import EMULATOR, gap_document, read_emulator, signals_from_json
 from narxcal.effects.base import Effect, Signals
 from narxcal.effects.library import effect, name_of

@@ -6,7 +6,7 @@ import math
 from collections.abc import Collection, Iterator, Mapping
 from typing import Any, Final
 
-from eval.outcome import Outcome
+from eval.judging.outcome import Outcome
 from eval.report.style import number
 from narxcal.channels import CHANNELS, symbol
 from narxcal.effects.library import effect, name_of

@@ -23,8 +23,8 @@ from eval.report.style import AnyFloats, Picture, envelope, picture, spans, with
 from eval.report.view import Curves, LogView
 from narxcal.channels import symbol
 from narxcal.support.arrays import FloatArray
-from training.rules import time_bands
-from training.transients import AssessedEvent, Assessment
+from training.responses.rules import time_bands
+from training.responses.transients import AssessedEvent, Assessment
 
 
 def large(view: LogView, one: AssessedEvent) -> Picture:

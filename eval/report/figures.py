@@ -13,17 +13,17 @@ from matplotlib.figure import Figure
 
 from data_prep.events import Event
 from data_prep.log import Log
+from eval.judging.residuals import ResidualTests, independence, whiteness
 from eval.report import plot, style
 from eval.report.style import Picture, picture
 from eval.report.tables import Measure, measures
 from eval.report.view import LogView
-from eval.residuals import ResidualTests, independence, whiteness
 from narxcal.channels import CHANNELS, symbol
 from narxcal.support.arrays import FloatArray
 
 if TYPE_CHECKING:
-    from eval.compare import Comparison, Recording
-    from eval.crossval import CrossValidation, FoldResult
+    from eval.judging.compare import Comparison, Recording
+    from eval.judging.crossval import CrossValidation, FoldResult
     from eval.reproduce.noise import NoiseSweep
 
 

@@ -34,11 +34,11 @@ from eval.report.view import Curves, LogView, stretch_s
 from narxcal.intervals import LEVEL
 from narxcal.support.arrays import FloatArray, spans
 from narxcal.support.moments import dated, elapsed
-from training.rules import time_bands
-from training.transients import AssessedEvent, Assessment
+from training.responses.rules import time_bands
+from training.responses.transients import AssessedEvent, Assessment
 
 if TYPE_CHECKING:
-    from eval.compare import Comparison
+    from eval.judging.compare import Comparison
 
 _MOST: Final = 400_000  # numbers of a whole log
 _MOST_OF_EVENTS: Final = 2_000_000

@@ -14,17 +14,17 @@ import jinja2
 from markupsafe import Markup
 
 from data_prep.log import Audit, Source
-from eval.outcome import Outcome
+from eval.judging.outcome import Outcome
 from eval.report import event_figures, figures, live, tables
 from eval.report.style import unit
 from eval.report.view import LogView
 from narxcal.channels import symbol
 from narxcal.support.files import versions
-from training.transients import AssessedEvent, tally
+from training.responses.transients import AssessedEvent, tally
 
 if TYPE_CHECKING:
-    from eval.compare import Comparison
-    from eval.crossval import CrossValidation
+    from eval.judging.compare import Comparison
+    from eval.judging.crossval import CrossValidation
 
 WORST_EVENTS = 3
 

@@ -20,11 +20,11 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from matplotlib.axes import Axes
 
+from eval.judging.residuals import Correlation, ResidualTests, residual_tests
 from eval.report import style
 from eval.report.event_figures import draw_curves, draw_output
 from eval.report.style import envelope
 from eval.report.view import Data, Model, Traces, model_of, traces, view_of_data
-from eval.residuals import Correlation, ResidualTests, residual_tests
 from narxcal.channels import symbol
 from narxcal.support.arrays import BoolArray, FloatArray, bridge_gaps
 from narxcal.support.errors import DataError
@@ -50,7 +50,7 @@ def compare(
     fit = 100 (1 - ||y - y_model|| / ||y - mean(y)||) over the samples that are scored, as MATLAB's
     `compare` defines it. Shaded: the interval of the model, and in grey what is masked.
     """
-    from eval.scores import fit_percent  # noqa: PLC0415 - the page of `prepare` needs no model
+    from eval.judging.scores import fit_percent  # noqa: PLC0415 - the page of `prepare` needs no model
 
     found = traces(data, model)
     curves, axes = found.output(channel), _axes(ax)
@@ -79,8 +79,9 @@ def resid(
     """Draw the residual's correlation with itself or, with `cross`, with every input.
 
     Shaded: the 95 % band, which a white residual leaves in 5 % of the lags. The band of `cross`
-    allows for a coloured residual, which that of a free run is (`eval.residuals`). A positive lag
-    is an effect of the input that the model misses, a negative one feedback to the input.
+    allows for a coloured residual, which that of a free run is (`eval.judging.residuals`). A
+    positive lag is an effect of the input that the model misses, a negative one feedback to the
+    input.
     """
     part = data if isinstance(data, ResidualTests) else _residuals(traces(data, model), channel)
     axes, name = _axes(ax), symbol(part.channel)

@@ -32,8 +32,8 @@ from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import versions
 from training.config import RunConfig
-from training.rules import TimeCheck
-from training.transients import Assessment
+from training.responses.rules import TimeCheck
+from training.responses.transients import Assessment
 
 _PLOT_LEFT, _LEAST_PLOTS = 34.0, 60.0  # mm
 _RECORDED, _MASTER = "#8c959f", style.BAD

@@ -14,21 +14,21 @@ import pandas as pd
 from markupsafe import escape
 
 from data_prep.log import AuditEntry, Log, Source
-from eval.outcome import plural
+from eval.judging.outcome import plural
 from eval.report.style import NOTHING, number, unit, with_unit
 from eval.report.view import LogView
 from narxcal.channels import symbol
 from narxcal.intervals import LEVEL
-from training.rules import TimeCheck
-from training.transients import AssessedEvent, Assessment, not_assessable, tally
+from training.responses.rules import TimeCheck
+from training.responses.transients import AssessedEvent, Assessment, not_assessable, tally
 
 if TYPE_CHECKING:
-    from eval.compare import Comparison
-    from eval.compare import Row as ComparedRow
-    from eval.crossval import CrossValidation, FoldResult
+    from eval.judging.compare import Comparison
+    from eval.judging.compare import Row as ComparedRow
+    from eval.judging.crossval import CrossValidation, FoldResult
+    from eval.judging.trim import Trim
     from eval.report.figures import WindowTrial
     from eval.reproduce.noise import NoiseSweep
-    from eval.trim import Trim
 
 Mark = Literal["", "best", "good", "bad", "none", "strong", "head", "group"]
 BASELINES = {"steady_state": "steady state", "first_order": "first order", "arx": "ARX"}

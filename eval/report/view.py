@@ -19,19 +19,19 @@ from data_prep.events import Event
 from data_prep.log import Log
 from data_prep.prepare import hold_inputs, with_outputs
 from data_prep.ranking import pearson
-from eval.residuals import ResidualTests, residual_tests
+from eval.judging.residuals import ResidualTests, residual_tests
 from narxcal.channels import described
 from narxcal.intervals import LEVEL
 from narxcal.record import Record, RecordLike, as_records, columns, known_start
 from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import DataError
-from training.transients import AssessedEvent, Assessment
+from training.responses.transients import AssessedEvent, Assessment
 
 if TYPE_CHECKING:
-    from eval.log_evaluation import LogEvaluation
+    from eval.judging.log_evaluation import LogEvaluation
     from narxcal.calibration.bundle import Bundle
     from narxcal.calibration.calibration import Calibration
-    from training.estimator import Narx
+    from training.estimator.narx import Narx
 
 # Seconds shown before the lever moves, so that a reader sees the level it moves from.
 LEAD_S = 3.0

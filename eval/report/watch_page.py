@@ -8,11 +8,11 @@ from typing import Final
 import numpy as np
 from matplotlib.axes import Axes
 
+from eval.fleets.watch import QUANTITIES, Alarm, Effects, Key, Watch, commands
 from eval.report import style
 from eval.report.page import RunHeader, render
 from eval.report.style import Picture, number, picture
 from eval.report.tables import Cell, Row, Table, plain, row
-from eval.watch import QUANTITIES, Alarm, Effects, Key, Watch, commands
 from narxcal.channels import symbol
 from narxcal.intervals import LEVEL
 from narxcal.support.arrays import FloatArray
@@ -27,7 +27,7 @@ Engine = tuple[str, str]
 
 
 def watch_page(header: RunHeader, found: Watch, place: Mapping[str, str]) -> str:
-    """Build the page; `place` says where `flights` and `run` are, as `eval.watch.commands`."""
+    """Build the page; `place` says where `flights` and `run` are, as `watch.commands`."""
     ranked = ranking(found)
     return render(
         "watch.html.j2",

@@ -37,8 +37,8 @@ from narxcal.transfer import (
     from_coordinates,
 )
 from narxcal.turbofan import VirtualEngine
-from training.subspace import SubspaceSettings, subspace
-from training.transfer_fit import (
+from training.papers.subspace import SubspaceSettings, subspace
+from training.papers.transfer_fit import (
     ResponseKind,
     Scale,
     fit_response,

@@ -27,7 +27,7 @@ from narxcal.static_models.model import Columns, StaticModel
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError, ModelError
 from narxcal.turbofan import VirtualEngine, build_scatter
-from training.static_fit import (
+from training.steady.static_fit import (
     SEARCHES,
     Estimator,
     FitSettings,

@@ -44,8 +44,8 @@ from narxcal.atmosphere import air_state
 from narxcal.static_models.model import CP, GAS_R, K
 from narxcal.support.arrays import FloatArray
 from narxcal.support.progress import Progress, silent
-from training.static_fit import SEARCHES, Estimator
-from training.transfer_fit import rise_times
+from training.papers.transfer_fit import rise_times
+from training.steady.static_fit import SEARCHES, Estimator
 
 BEST_THRUST = "Cold Thrust + correction (M, FPR)"
 _THRUST = ("Mattingly", "Torenbeek", "Aerospatiale", "Wanner")

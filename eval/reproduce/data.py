@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from data_prep.clean import clean
+from data_prep.cleaning.clean import clean
 from data_prep.config import LogsConfig
 from data_prep.events import PUSH, Event, EventsConfig, find_events
 from data_prep.log import Log
@@ -34,8 +34,8 @@ from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, DataError
 from narxcal.support.parallel import in_processes
 from training.config import RunConfig, TrainConfig
+from training.dynamics.network import Material, fit_narx
 from training.folds import Segment
-from training.network import Material, fit_narx
 from training.pipeline import configured_files
 from training.records import Split, rest_records, split_logs
 

@@ -18,12 +18,12 @@ from typing import Any
 import numpy as np
 
 from data_prep.log import Log
+from eval.judging.scores import max_relative_percent, rmse
 from eval.report import figures
 from eval.report.style import Picture, unit
 from eval.report.tables import Table, figure
 from eval.reproduce.data import DataSets, Effort, NetworkFit, cut, fit_all, within
 from eval.reproduce.study import Claim, Study, claim, table_of
-from eval.scores import max_relative_percent, rmse
 from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.calibration import steady_for_engine
 from narxcal.channels import symbol

@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from data_prep.log import Log
-from eval.log_evaluation import LogEvaluation
-from eval.outcome import Outcome
+from eval.judging.log_evaluation import LogEvaluation
+from eval.judging.outcome import Outcome
+from eval.judging.scores import score
 from eval.reproduce.data import FAMILIES, DataSets, Effort, cut, within
 from eval.reproduce.inputs import deviations, inputs
 from eval.reproduce.noise import noise
@@ -35,7 +36,6 @@ from eval.reproduce.response import (
     times_table,
 )
 from eval.reproduce.study import Claim, Study, claim, missed, or_nan, outcome_of
-from eval.scores import score
 from narxcal.calibration.bundle import Bundle
 from narxcal.support.files import versions
 from narxcal.support.progress import Progress, silent

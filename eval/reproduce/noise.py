@@ -18,11 +18,11 @@ import pandas as pd
 
 from data_prep.log import Log
 from data_prep.prepare import hold_inputs
+from eval.judging.scores import rms
 from eval.report import figures, tables
 from eval.report.style import Picture
 from eval.reproduce.data import DataSets, Effort, numbered
 from eval.reproduce.study import Claim, Study, claim
-from eval.scores import rms
 from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.fuser import FastFuser, FusedRun
 from narxcal.calibration.fuser_config import FuserConfig

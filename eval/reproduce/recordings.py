@@ -12,17 +12,17 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from data_prep.cleaning.smooth import cutoff_hz, frequency_response, moving_average
 from data_prep.events import PULL, PUSH
 from data_prep.log import Log
 from data_prep.ranking import STRONG, flight_table, is_strong
-from data_prep.smooth import cutoff_hz, frequency_response, moving_average
+from eval.judging.scores import rms
 from eval.preparation import WINDOWS
 from eval.report import figures, tables
 from eval.report.style import Picture, unit, with_unit
 from eval.report.tables import Cell, Table, figure
 from eval.reproduce.data import DataSets, truth_of
 from eval.reproduce.study import Claim, Study, claim, table_of
-from eval.scores import rms
 from narxcal.channels import symbol
 from narxcal.support.arrays import FloatArray
 

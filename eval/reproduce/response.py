@@ -14,9 +14,10 @@ import numpy as np
 
 from data_prep.events import find_events
 from data_prep.log import Log
-from eval.crossval import CrossValidation, judge_fold, total
-from eval.crossval import spread as spread_of
-from eval.log_evaluation import LogEvaluation, assess_log
+from eval.judging.crossval import CrossValidation, judge_fold, total
+from eval.judging.crossval import spread as spread_of
+from eval.judging.log_evaluation import LogEvaluation, assess_log
+from eval.judging.scores import max_relative_percent, score
 from eval.report import event_figures, figures, tables
 from eval.report.page import worst_events
 from eval.report.style import NOTHING, unit
@@ -25,13 +26,12 @@ from eval.report.view import LogView, view_of
 from eval.reproduce.data import PHASES, SPEEDS, DataSets, Effort, phase_of, pieces, within
 from eval.reproduce.study import Claim, Study, claim, or_nan, table_of
 from eval.run_logs import EvaluateConfig, run_config
-from eval.scores import max_relative_percent, score
 from narxcal.calibration.bundle import Bundle
 from narxcal.channels import symbol
 from narxcal.support.progress import Progress, silent
 from training.folds import divide
 from training.pipeline import run_plans
-from training.transients import AssessedEvent, Assessment, tally
+from training.responses.transients import AssessedEvent, Assessment, tally
 
 PAPER_PCT = 5.0  # below which the paper finds all its largest errors
 

@@ -43,9 +43,9 @@ from narxcal.output_error.paper import (
 from narxcal.record import Record
 from narxcal.support.parallel import in_processes
 from narxcal.support.progress import Progress, silent
-from training.likelihood_statistics import Combined, Difference, combine, compare, propagate
-from training.output_error import Model, Plan, fit
-from training.output_error_result import OutputErrorFit
+from training.papers.likelihood_statistics import Combined, Difference, combine, compare, propagate
+from training.papers.output_error import Model, Plan, fit
+from training.papers.output_error_result import OutputErrorFit
 
 LEVEL: Final = 0.9
 _claim = partial(claim, "spey")

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from importlib.resources import files
 from typing import Any
 
-from eval.outcome import Outcome
+from eval.judging.outcome import Outcome
 from eval.report.page import RunHeader, render
 from eval.report.style import NOTHING, Picture, number
 from eval.report.tables import Cell, Table, row

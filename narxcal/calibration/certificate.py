@@ -6,7 +6,7 @@
 | network behind lags | by its decay bound (`settle_s`) |
 | response of first or second order | by construction: exp(...) are times, damping, frequency |
 | steady state, first-order lag | by construction |
-| ARX, output error of `training.baselines` | by construction, with unit gain |
+| ARX, output error of `training.dynamics.baselines` | by construction, with unit gain |
 | state space, output-error engine, other networks | if it is found here |
 
 Inputs saturate in the box `Calibration.reach`, so that what holds there holds for all inputs. At

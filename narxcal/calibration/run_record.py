@@ -76,7 +76,7 @@ class FitRecord(_Part):
 
 
 class IdentityRecord(_Part):
-    """What a log that the model learned from is recognised by (`data_prep.identity`).
+    """What a log that the model learned from is recognised by (`data_prep.cleaning.identity`).
 
     Older versions stored no `moves`: the digest is left.
     """

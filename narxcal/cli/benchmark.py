@@ -9,7 +9,7 @@ from eval.benchmarks import public_sets
 from narxcal.cli.console import Console
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import finite
-from training.ladder import Limits
+from training.estimator.ladder import Limits
 
 
 def add_options(parser: ArgumentParser) -> None:

@@ -7,7 +7,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import Final
 
-from eval.card import Card, Step, Wanted, calibration_card
+from eval.cards.card import Card, Step, Wanted, calibration_card
 from eval.diagnosis.separate import separation_card
 from eval.report.page import RunHeader, render
 from eval.report.style import number, unit

@@ -8,7 +8,7 @@ from pathlib import Path
 from textwrap import wrap
 
 from eval import terminal
-from eval.compare import SCHEMA, Comparison, Run, compare_runs
+from eval.judging.compare import SCHEMA, Comparison, Run, compare_runs
 from eval.report.page import RunHeader, compare_page
 from eval.run_logs import run_config
 from narxcal.calibration.bundle import Bundle, load_bundle

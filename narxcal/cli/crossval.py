@@ -8,7 +8,7 @@ from data_prep.log import Log
 from data_prep.prepare import cautions, prepare
 from data_prep.reading import read_logs
 from eval import terminal
-from eval.crossval import SCHEMA, CrossValidation, cross_validate
+from eval.judging.crossval import SCHEMA, CrossValidation, cross_validate
 from eval.report.page import crossval_page
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_config, add_jobs, add_method

@@ -15,7 +15,7 @@ from eval.diagnosis.diagnose import Answer, Request, diagnose_folders, learn_fol
 from eval.diagnosis.learned import LEARNED, keep_learned, learn_left_out
 from eval.diagnosis.page import budget_page, console_tables
 from eval.diagnosis.words import outcome
-from eval.outcome import plural
+from eval.judging.outcome import plural
 from eval.report.page import now
 from narxcal.calibration.bundle import DOCUMENT as BUNDLE
 from narxcal.cli.console import Console

@@ -12,7 +12,7 @@ from typing import Any
 
 from data_prep.log import Log
 from eval import terminal
-from eval.evaluate import SCHEMA
+from eval.judging.evaluate import SCHEMA
 from eval.report.page import evaluate_page
 from eval.results import Judgement, changed, judge
 from eval.run_logs import run_config

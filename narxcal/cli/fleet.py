@@ -6,8 +6,8 @@ from argparse import ArgumentParser, Namespace
 from collections import Counter
 from typing import Any
 
-from eval.fleet import SCHEMA, Fleet, load_fleet
-from eval.fleet_rows import DUPLICATE, FAILED, GOOD
+from eval.fleets.fleet import SCHEMA, Fleet, load_fleet
+from eval.fleets.fleet_rows import DUPLICATE, FAILED, GOOD
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_jobs, add_trust, address, path
 from narxcal.support.addresses import Folder

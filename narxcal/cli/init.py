@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from data_prep.derive import WeightOnWheels
-from data_prep.draft import Draft, draft
+from data_prep.drafting.draft import Draft, draft
 from data_prep.equilibrium import BELOW_IDLE, in_equilibrium
 from data_prep.log import Log
 from data_prep.ranking import other_driver

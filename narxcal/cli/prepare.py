@@ -13,10 +13,10 @@ from typing import Any
 
 import pandas as pd
 
-from data_prep.binary_source import arrow, write_parquet
 from data_prep.equilibrium import while_running
 from data_prep.log import Log
 from data_prep.reading import read_logs
+from data_prep.sources.binary_source import arrow, write_parquet
 from eval.preparation import (
     LogReport,
     cautions_about,

@@ -25,8 +25,8 @@ from narxcal.cli.console import Console
 from narxcal.cli.options import add_data, add_logs, add_out_file, add_run, path
 from narxcal.cli.results import check_pair, logs_for
 from narxcal.support.files import atomic_write_bytes, atomic_write_text, check_file, to_json
-from training.rules import RULES, TOLERANCE_SHARE
-from training.transients import TransientsConfig
+from training.responses.rules import RULES, TOLERANCE_SHARE
+from training.responses.transients import TransientsConfig
 
 
 def add_options(parser: ArgumentParser) -> None:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from eval import terminal
-from eval.outcome import Outcome
+from eval.judging.outcome import Outcome
 from eval.report.page import RunHeader
 from eval.reproduce.citation_static import KINDS
 from eval.reproduce.citation_x import CONTRADICTIONS
@@ -39,7 +39,7 @@ from narxcal.cli.options import add_data, add_jobs, add_out, seed
 from narxcal.cli.results import data_files, read_config
 from narxcal.support.files import Results, atomic_write_text, to_json, versions
 from training.config import RunConfig
-from training.rules import rules
+from training.responses.rules import rules
 
 DOCUMENT, PAGE, FLIGHTS, MODEL = "reproduce.json", "reproduce.html", "flights", "model"
 RESULTS = Results(SCHEMA, DOCUMENT, (PAGE, FLIGHTS, MODEL))

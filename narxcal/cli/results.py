@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data_prep.log import Log, Source
-from eval.outcome import plural
+from eval.judging.outcome import plural
 from eval.report.page import RunHeader
 from narxcal.channels import described
 from narxcal.cli.console import Console
@@ -17,7 +17,7 @@ from narxcal.intervals import ENOUGH, LEVEL, HalfWidths
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import check_file
 from training.config import IdentifyConfig, RunConfig, load_config
-from training.rules import Rules
+from training.responses.rules import Rules
 
 if TYPE_CHECKING:
     from narxcal.calibration.bundle import Bundle

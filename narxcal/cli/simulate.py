@@ -19,9 +19,9 @@ import pandas as pd
 
 from data_prep.config import LogsConfig
 from data_prep.log import Log
-from data_prep.log_file import open_table
 from data_prep.prepare import hold_inputs, prepare
 from data_prep.reading import read_logs
+from data_prep.sources.log_file import open_table
 from eval.diagnosis.applied import FoundEffects, read_effects
 from eval.diagnosis.pairs import match_simulated, read_folder
 from eval.diagnosis.simulators import Simulate, open_simulator
@@ -45,7 +45,7 @@ from narxcal.support.files import (
 )
 from training.config import RunConfig
 from training.pipeline import calibration_for
-from training.screening import screened
+from training.screening.screen import screened
 
 SCHEMA = "narxcal.simulate/1"
 EFFECTS_SCHEMA, DOCUMENT = "narxcal.simulate_effects/1", "simulated.json"

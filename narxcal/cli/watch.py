@@ -5,10 +5,10 @@ from __future__ import annotations
 import re
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 
-from eval.fleet import load_fleet
+from eval.fleets.fleet import load_fleet
+from eval.fleets.watch import watch
 from eval.report.page import RunHeader
 from eval.report.watch_page import console_rows, watch_page
-from eval.watch import watch
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_out_file, address, path
 from narxcal.cli.results import check_pair

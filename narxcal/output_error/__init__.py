@@ -2,5 +2,5 @@
 
 `blocks` are linear systems, play and governor, each usable alone; `engine` chains them from
 measured inputs to measured outputs, with a table of named parameters; `paper` has the paper's
-tables as data and simulates its flight records. Estimation is in `training.output_error`.
+tables as data and simulates its flight records. Estimation is in `training.papers.output_error`.
 """

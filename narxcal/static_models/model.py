@@ -1,7 +1,8 @@
 """A static model: one output of an engine in steady flight from measured columns and parameters.
 
-Thrust, fuel and black-box models are functions that return one `StaticModel`; `training.static_fit`
-estimates its parameters. All columns are those of `narxcal.channels`, in their units, `(rows,)`.
+Thrust, fuel and black-box models are functions that return one `StaticModel`;
+`training.steady.static_fit` estimates its parameters. All columns are those of `narxcal.channels`,
+in their units, `(rows,)`.
 """
 
 from __future__ import annotations

@@ -4,8 +4,8 @@ import json
 
 import pytest
 
+from data_prep.cleaning.smooth import SmoothConfig
 from data_prep.config import LogsConfig
-from data_prep.smooth import SmoothConfig
 from eval.replay import ReplaySummary
 from narxcal.support.errors import ConfigError
 

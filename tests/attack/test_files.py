@@ -4,9 +4,9 @@ import zipfile
 
 import pytest
 
-from data_prep.binary_source import open_binary
-from data_prep.workbook import sheet_text
-from eval import fleet
+from data_prep.sources.binary_source import open_binary
+from data_prep.sources.workbook import sheet_text
+from eval.fleets import fleet
 from narxcal.support.addresses import Folder
 from narxcal.support.errors import ConfigError, DataError
 

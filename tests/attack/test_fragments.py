@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data_prep.grid import joined
+from data_prep.sources.grid import joined
 
 
 def fragments(log, every_s=20.0, gap_s=4.0, late_s=0.0):

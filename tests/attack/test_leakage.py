@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data_prep.identity import Identity, duplicates, refuse_duplicates
+from data_prep.cleaning.identity import Identity, duplicates, refuse_duplicates
 from data_prep.log import Source
 from narxcal.support.errors import DataError, ModelError
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from data_prep.prepare import Preparation, prepare
-from eval.evaluate import evaluate
+from eval.judging.evaluate import evaluate
 from eval.run_logs import EvaluateConfig
 
 

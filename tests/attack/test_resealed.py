@@ -5,13 +5,13 @@ import json
 import numpy as np
 import pytest
 
-from eval.evaluate import evaluate
+from eval.judging.evaluate import evaluate
 from narxcal.calibration.bundle import load_bundle, save_bundle
 from narxcal.calibration.certificate import certify
 from narxcal.support.errors import NarxcalError
 from tests.attack.test_pass import ENGINE
 from tests.fuzz import value_changed
-from training.redundancy_fit import learn
+from training.screening.redundancy_fit import learn
 
 CHANNEL = {
     "weights": {"network": 0.4, "arx": 0.6},

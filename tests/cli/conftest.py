@@ -16,8 +16,8 @@ from narxcal.calibration.bundle import load_bundle
 from narxcal.cli import main, train
 from narxcal.flight_test.sensors import first_order
 from training import pipeline
+from training.dynamics.network import TrainingState
 from training.methods import read_checkpoint, write_checkpoint
-from training.network import TrainingState
 
 ROOT = Path(__file__).parents[2]
 CHECKPOINTS = 3  # of a training whose fit is replaced

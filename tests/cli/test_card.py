@@ -7,8 +7,8 @@ import shutil
 import numpy as np
 import pytest
 
-from eval.card import Wanted, calibration_card
-from eval.information import Experiment, of_training
+from eval.cards.card import Wanted, calibration_card
+from eval.cards.information import Experiment, of_training
 from narxcal.calibration.bundle import load_bundle
 from narxcal.cli import main
 from narxcal.flight_test.moves import Limits, course

@@ -20,7 +20,7 @@ from narxcal.calibration.bundle import load_bundle, save_bundle
 from narxcal.cli import main
 from narxcal.cli.prepare import file_names
 from narxcal.cli.results import config_header
-from training.steady_choice import Outlier
+from training.steady.steady_choice import Outlier
 
 ROOT = Path(__file__).parents[2]
 COMMANDS = (

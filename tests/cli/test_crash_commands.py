@@ -12,8 +12,8 @@ import pytest
 from narxcal.calibration.bundle import load_bundle, write_bundle
 from narxcal.cli import main
 from tests.crash import killed_everywhere
+from training.dynamics.network import TrainingState
 from training.methods import write_checkpoint
-from training.network import TrainingState
 
 pytestmark = pytest.mark.slow
 WHOLE_RUN = ["bundle.json", "weights.safetensors"]

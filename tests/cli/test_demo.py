@@ -8,7 +8,7 @@ import pytest
 
 from data_prep.prepare import prepare
 from data_prep.reading import read_logs
-from eval.evaluate import evaluate
+from eval.judging.evaluate import evaluate
 from eval.run_logs import run_config
 from narxcal import NarxcalError, load_bundle
 from narxcal.cli.app import main

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from data_prep import csv_source
+from data_prep.sources import csv_source
 from narxcal.calibration.bundle import load_bundle
 from narxcal.cli import console, demo
 from training import pipeline

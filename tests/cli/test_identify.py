@@ -10,7 +10,7 @@ import pytest
 from narxcal.calibration.bundle import load_bundle
 from narxcal.support.errors import NarxcalError
 from training.config import RunConfig
-from training.identify import output_error, subspace_model, transfer
+from training.papers.identify import output_error, subspace_model, transfer
 from training.pipeline import prepare_logs
 
 RATE_HZ = 5.0

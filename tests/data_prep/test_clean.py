@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from data_prep.clean import (
+from data_prep.cleaning.clean import (
     CleanConfig,
     _critical,
     _grubbs,

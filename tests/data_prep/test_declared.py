@@ -5,15 +5,15 @@ import re
 import numpy as np
 import pytest
 
-from data_prep.clean import clean
+from data_prep.cleaning.clean import clean
+from data_prep.cleaning.plausibility import checked
 from data_prep.config import LogsConfig
-from data_prep.draft import draft
+from data_prep.drafting.draft import draft
+from data_prep.drafting.naming import declarable
 from data_prep.log import Log
-from data_prep.naming import declarable
-from data_prep.plausibility import checked
 from data_prep.prepare import Preparation
 from data_prep.reading import read_logs
-from data_prep.units import find_unit, to_canonical
+from data_prep.sources.units import find_unit, to_canonical
 from narxcal.channels import ENDINGS, described, symbol
 from narxcal.support.errors import ConfigError, DataError
 from tests.turboprop import HEADER, write

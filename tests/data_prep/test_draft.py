@@ -7,8 +7,8 @@ import pytest
 from scipy.io import savemat
 
 from data_prep.derive import units_that_agree
-from data_prep.draft import draft
-from data_prep.naming import read_name
+from data_prep.drafting.draft import draft
+from data_prep.drafting.naming import read_name
 from narxcal.atmosphere import KELVIN, SOUND_KT, isa
 from narxcal.support.settings import OPEN
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from data_prep.draft import draft
+from data_prep.drafting.draft import draft
 from data_prep.prepare import prepare
 from data_prep.reading import read_logs
 from narxcal.atmosphere import KELVIN, isa

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from data_prep.clean import CleanConfig, clean
-from data_prep.faults import (
+from data_prep.cleaning.clean import CleanConfig, clean
+from data_prep.cleaning.faults import (
     FaultsConfig,
     excursions,
     expected_beyond,

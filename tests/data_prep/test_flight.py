@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from data_prep.config import LogsConfig
-from data_prep.csv_source import Pace
-from data_prep.log_file import open_log
 from data_prep.reading import read_logs
+from data_prep.sources.csv_source import Pace
+from data_prep.sources.log_file import open_log
 from narxcal.support.errors import ConfigError, DataError
 
 BY_PART = {"flights": ["{flight}_*.csv"]}

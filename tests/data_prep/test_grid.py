@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from data_prep.grid import Grid, resample
+from data_prep.sources.grid import Grid, resample
 
 
 def on_grid(time, values, interval_s=0.1, samples=41):

@@ -2,7 +2,7 @@
 
 import pytest
 
-from data_prep.naming import read_name
+from data_prep.drafting.naming import read_name
 from narxcal.channels import CHANNELS
 
 

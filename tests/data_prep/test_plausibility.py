@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from data_prep.cleaning.plausibility import checked, unchecked_air, update_interval
 from data_prep.log import Finding, Log
-from data_prep.plausibility import checked, unchecked_air, update_interval
 from data_prep.prepare import prepare
 from narxcal.atmosphere import KELVIN, SOUND_KT, T0_K, isa, mach_of_cas
 

@@ -11,14 +11,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from data_prep.clean import CleanConfig, clean
+from data_prep.cleaning.clean import CleanConfig, clean
+from data_prep.cleaning.smooth import SmoothConfig, smooth
 from data_prep.config import LogsConfig
 from data_prep.equilibrium import QuasiSteadyConfig, quasi_steady
 from data_prep.events import EventsConfig, find_events
 from data_prep.log import AuditEntry, Log, Source
 from data_prep.prepare import Preparation, Prepared, cautions, hold_inputs, prepare, with_outputs
 from data_prep.reading import read_logs
-from data_prep.smooth import SmoothConfig, smooth
 from narxcal.support.arrays import runs
 from narxcal.support.errors import DataError
 

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from data_prep import units
 from data_prep.config import LogsConfig
 from data_prep.reading import read_logs, shared_interval_s
+from data_prep.sources import units
 from narxcal.support.errors import ConfigError, DataError, NarxcalError
 
 ROOT = Path(__file__).parents[2]

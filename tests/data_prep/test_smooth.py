@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from data_prep.log import Log
-from data_prep.smooth import (
+from data_prep.cleaning.smooth import (
     SmoothConfig,
     blurs,
     compare_windows,
@@ -18,6 +17,7 @@ from data_prep.smooth import (
     smooth,
     white_noise,
 )
+from data_prep.log import Log
 from narxcal.support.errors import ConfigError, DataError
 
 windows = st.integers(0, 12).map(lambda n: 2 * n + 1)

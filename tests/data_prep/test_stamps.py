@@ -6,12 +6,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from data_prep.clock import Clock, is_clock
 from data_prep.config import LogsConfig
-from data_prep.log_file import LogFile
 from data_prep.reading import read_logs
-from data_prep.stamps import DAY_S, shared_interval, undo_rounding, unwrap_clock
-from data_prep.stream import GridStream
+from data_prep.sources.clock import Clock, is_clock
+from data_prep.sources.log_file import LogFile
+from data_prep.sources.stamps import DAY_S, shared_interval, undo_rounding, unwrap_clock
+from data_prep.sources.stream import GridStream
 from narxcal.support.errors import DataError
 
 COLUMNS = {"columns": {"time_s": {"column": "UTC"}, "N1_pct": {"column": "fan"}}}

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_prep import log_file
 from data_prep.config import LogsConfig
-from data_prep.csv_source import Pace
-from data_prep.log_file import LogFile
 from data_prep.reading import read_logs
+from data_prep.sources import log_file
+from data_prep.sources.csv_source import Pace
+from data_prep.sources.log_file import LogFile
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "../shared/data"

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from data_prep.config import LogsConfig
-from data_prep.csv_source import Pace
-from data_prep.log_file import LogFile
 from data_prep.reading import read_logs
-from data_prep.text_file import READERS
-from data_prep.units import is_unit_text, named_unit
+from data_prep.sources.csv_source import Pace
+from data_prep.sources.log_file import LogFile
+from data_prep.sources.text_file import READERS
+from data_prep.sources.units import is_unit_text, named_unit
 from narxcal.support.errors import NarxcalError
 
 COLUMNS = {"time_s": {"column": "t"}, "N1_pct": {"column": "fan"}, "EGT_C": {"column": "itt"}}

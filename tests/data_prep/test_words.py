@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from data_prep.cleaning.words import CodeWords, code_words
 from data_prep.config import LogsConfig
 from data_prep.prepare import prepare
 from data_prep.reading import read_logs
-from data_prep.words import CodeWords, code_words
 
 BITS = {"N1": (10, 0.125), "N2": (10, 0.125), "EGT": (10, 1.0), "FF": (12, 2.0), "TRA": (9, 0.25)}
 

@@ -14,8 +14,8 @@ from narxcal.narx.config import NarxConfig
 from narxcal.narx.module import NarxNet
 from narxcal.narx.network import NarxModel, Scaling
 from narxcal.steady.table import SteadyTable
-from training.baselines import fit_baselines
 from training.config import RunConfig
+from training.dynamics.baselines import fit_baselines
 
 DT_S = 0.1
 INPUTS, OUTPUTS = ("TRA_deg", "Mach"), ("N1_pct", "N2_pct")

@@ -14,10 +14,10 @@ from typing import Final
 
 import numpy as np
 
-from data_prep.binary_source import arrow
-from eval.fleet import DOCUMENT, SCHEMA, WORK_LIST
-from eval.fleet_rows import GOOD, Row, as_tables
-from eval.watch import Watch
+from data_prep.sources.binary_source import arrow
+from eval.fleets.fleet import DOCUMENT, SCHEMA, WORK_LIST
+from eval.fleets.fleet_rows import GOOD, Row, as_tables
+from eval.fleets.watch import Watch
 from narxcal.support.addresses import Folder
 from narxcal.support.arrays import FloatArray
 from narxcal.support.files import to_json

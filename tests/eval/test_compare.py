@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from eval.benchmarks.comparisons import false_claims
-from eval.compare import Recording, Row, compare
+from eval.judging.compare import Recording, Row, compare
+from eval.judging.significance import pass_differences
 from eval.report.tables import comparison
-from eval.significance import pass_differences
 from narxcal.support.errors import DataError
 
 CHANNELS = ("N1_pct", "EGT_C")

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eval.crossval import CrossValidation, FoldResult, cross_validate, spread
+from eval.judging.crossval import CrossValidation, FoldResult, cross_validate, spread
 from eval.report.page import RunHeader, crossval_page
 from eval.report.tables import measures
 from eval.run_logs import EvaluateConfig

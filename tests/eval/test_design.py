@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eval.design import Candidates, d_optimal, design, exchanged, filled, i_optimal
+from eval.cards.design import Candidates, d_optimal, design, exchanged, filled, i_optimal
 
 NEARLY_NONE = 1e-9  # prior precision
 

@@ -6,7 +6,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
-from eval.drift import KINDS, Change, Prior, Series, _level, _Smoothed, candidate, detect, learn
+from eval.fleets.drift import (
+    KINDS,
+    Change,
+    Prior,
+    Series,
+    _level,
+    _Smoothed,
+    candidate,
+    detect,
+    learn,
+)
 
 KIND = ("EGT_C", "offset")
 

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from eval.evaluate import evaluate
+from eval.judging.evaluate import evaluate
+from eval.judging.scores import score
 from eval.run_logs import EvaluateConfig, run_config
-from eval.scores import score
 from narxcal.calibration.bundle import Bundle
 from narxcal.support.errors import ConfigError, DataError, ModelError
 

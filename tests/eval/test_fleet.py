@@ -10,9 +10,9 @@ import pandas as pd
 import pytest
 from fsspec.implementations.memory import MemoryFileSystem
 
-from eval.fleet import Fleet, load_fleet
-from eval.fleet_rows import TABLES, batch_means
-from eval.log_evaluation import assess_log
+from eval.fleets.fleet import Fleet, load_fleet
+from eval.fleets.fleet_rows import TABLES, batch_means
+from eval.judging.log_evaluation import assess_log
 from eval.run_logs import evaluation_logs, run_config
 from narxcal.calibration.bundle import load_bundle, save_bundle
 from narxcal.cli import main
@@ -127,7 +127,7 @@ def test_a_log_of_which_workers_die_is_a_row(fleet, grow, monkeypatch):
 
     grow()
     whole = pd.read_parquet(fleet / "F" / "logs").set_index("file")
-    monkeypatch.setattr("eval.fleet.in_processes", dying)
+    monkeypatch.setattr("eval.fleets.fleet.in_processes", dying)
     assert grow("G").code == 0
     logs = pd.read_parquet(fleet / "G" / "logs").set_index("file")
     row = logs.loc["N1/f0.csv"]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eval.information import Parameters, parameters_of, whitened
+from eval.cards.information import Parameters, parameters_of, whitened
 from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.identified import IdentifiedCalibration, NoDynamics, ResponseDynamics
 from narxcal.steady.function import SteadyCallable

@@ -14,14 +14,14 @@ import numpy as np
 import pytest
 from pypdf import PdfReader
 
-from eval.evaluate import evaluate
+from eval.judging.evaluate import evaluate
 from eval.qtg import evaluate_events, guide_of, read_master, read_tests, start_file
 from eval.report.pdf import RIGHT, printable, width_mm, wrapped
 from eval.report.qtg_pages import guide_pdf
 from narxcal.calibration.bundle import seal
 from narxcal.support.errors import ConfigError, DataError
 from narxcal.support.files import to_json
-from training.transients import TransientsConfig
+from training.responses.transients import TransientsConfig
 
 SHA = "ab" * 32
 LOGS = "Name the master's own logs by --logs"

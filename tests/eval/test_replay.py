@@ -17,7 +17,7 @@ from scipy.io import savemat
 from data_prep.config import LogsConfig
 from data_prep.log import Finding
 from data_prep.reading import read_logs
-from data_prep.stream import GridStream
+from data_prep.sources.stream import GridStream
 from eval.replay import Clock, ReplayModel, ReplayOptions, replay
 from narxcal.calibration.fuser import KalmanFuser
 from narxcal.calibration.noise import NoiseModel, estimate_noise

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.signal import lfilter
 
-from eval.residuals import (
+from eval.judging.residuals import (
     autocorrelation,
     cross_correlation,
     independence,
@@ -44,7 +44,7 @@ def test_fast_correlation_is_the_slow_one(length, lags, gaps, stretch, seed):
     if np.isfinite(e).sum() < 2:
         return
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("eval.residuals._STRETCH", stretch)
+        patch.setattr("eval.judging.residuals._STRETCH", stretch)
         found, own = cross_correlation(u, e, lags), autocorrelation(e, lags)
     values, counts = slow_correlation(u, e, lags)
     assert found.lags.tolist() == list(range(-lags, lags + 1))

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.testing import assert_allclose
 
-from eval.scores import counted, fit_percent, max_relative_percent, nrmse, rmse
+from eval.judging.scores import counted, fit_percent, max_relative_percent, nrmse, rmse
 from narxcal.support.errors import DataError
 
 ALL = (rmse, nrmse, fit_percent, max_relative_percent)

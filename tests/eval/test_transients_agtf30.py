@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from data_prep.cleaning.smooth import SmoothConfig, smooth
 from data_prep.events import EventsConfig, find_events
 from data_prep.reading import read_logs
-from data_prep.smooth import SmoothConfig, smooth
-from training.transients import Overlay, TransientsConfig, assess_events, tally
+from training.responses.transients import Overlay, TransientsConfig, assess_events, tally
 
 FLIGHT = Path(__file__).parents[2] / "../shared/data/agtf30/flight_1.csv.gz"
 CHANNELS = ("N1_pct", "N2_pct", "EGT_C")

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eval.trim import PRIORS, OffsetPrior, TrimConfig, TrimSamples, estimate_trim
+from eval.judging.trim import PRIORS, OffsetPrior, TrimConfig, TrimSamples, estimate_trim
 
 NAMES = ("N1_pct", "EGT_C")
 DT_S = 0.1

@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from eval.drift import Change
-from eval.watch import Key, _Cells, _excess, _natural, cause, commands, watch
+from eval.fleets.drift import Change
+from eval.fleets.watch import Key, _Cells, _excess, _natural, cause, commands, watch
 from narxcal.cli import main
 from narxcal.support.addresses import Folder
 from tests.eval.drawn_fleet import HOURS, SPREADS, Case, draw, judged

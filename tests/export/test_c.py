@@ -20,7 +20,7 @@ from narxcal.static_models.model import StaticLaws
 from narxcal.steady.model import Envelope
 from narxcal.support.errors import ModelError
 from tests.export import models
-from training.static_fit import fit
+from training.steady.static_fit import fit
 
 if compiler() is None:
     pytest.skip("needs a C compiler", allow_module_level=True)

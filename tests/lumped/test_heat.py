@@ -11,7 +11,7 @@ from narxcal.narx.config import NarxConfig
 from narxcal.narx.module import NarxNet
 from narxcal.narx.network import NarxModel, Scaling
 from narxcal.steady.table import SteadyTable
-from training.lag_priors import Form, start_engine
+from training.dynamics.lag_priors import Form, start_engine
 
 NAMES, INPUTS = ("N1_pct", "N2_pct", "EGT_C"), ("TRA_deg", "ALT_ft", "Mach", "dT_C")
 CENTRE, HALF = np.array([62.0, 75.0, 520.0]), np.array([35.0, 20.0, 240.0])

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from narxcal.lumped.engine import LumpedEngine, Slopes
 from narxcal.lumped.rotors import LIMITED
 from narxcal.narx.network import AT_START
-from training.lag_priors import Form, start_engine
+from training.dynamics.lag_priors import Form, start_engine
 
 INPUTS = ("ALT_ft", "Mach", "dT_C")
 CENTRE, HALF = np.array([62.0, 75.0, 520.0]), np.array([35.0, 20.0, 240.0])

@@ -24,7 +24,7 @@ from narxcal.output_error.paper import (
     table_4,
     throttle_programme,
 )
-from training.likelihood_statistics import combine
+from training.papers.likelihood_statistics import combine
 
 DT = 0.05
 

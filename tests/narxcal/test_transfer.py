@@ -16,7 +16,7 @@ from narxcal.transfer import (
     coordinates,
     from_coordinates,
 )
-from training.transfer_fit import (
+from training.papers.transfer_fit import (
     FirstOrder,
     Scale,
     SecondOrder,

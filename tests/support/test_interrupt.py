@@ -12,7 +12,7 @@ from narxcal.narx.config import NarxConfig
 from narxcal.record import Record
 from narxcal.support.interrupt import held_interrupt, is_interrupt, safe_interrupt
 from training.config import TrainConfig
-from training.network import Material, fit_narx
+from training.dynamics.network import Material, fit_narx
 
 
 def press():

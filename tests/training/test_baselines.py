@@ -11,7 +11,15 @@ from hypothesis import strategies as st
 
 from data_prep.log import Log
 from narxcal.support.errors import ModelError
-from training.baselines import Baselines, FirstOrderLag, Linear, Run, arx_of, fit_baselines, linear
+from training.dynamics.baselines import (
+    Baselines,
+    FirstOrderLag,
+    Linear,
+    Run,
+    arx_of,
+    fit_baselines,
+    linear,
+)
 
 DT_S = 0.1
 

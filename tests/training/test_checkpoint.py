@@ -16,9 +16,9 @@ from narxcal.narx.config import NarxConfig
 from narxcal.record import Record
 from narxcal.support.errors import ModelError
 from training.config import TrainConfig
+from training.dynamics.network import HistoryRow, Material, TrainingState, fit_narx, net_of
+from training.dynamics.optimisers import Damping, Moments
 from training.methods import fingerprint, read_checkpoint, write_checkpoint
-from training.network import HistoryRow, Material, TrainingState, fit_narx, net_of
-from training.optimisers import Damping, Moments
 
 ROOT = Path(__file__).parents[2]
 FULL = TrainingState(

@@ -12,7 +12,7 @@ from sklearn.model_selection import GridSearchCV, TimeSeriesSplit, cross_val_sco
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-import training.estimator
+import training.estimator.narx
 from narxcal import Narx, NarxConfig, Record
 from narxcal.support.errors import ConfigError, DataError, ModelError
 from training.config import TrainConfig
@@ -22,7 +22,7 @@ STRUCTURE = NarxConfig(lags=1, taps=(0,), hidden=3)
 
 
 def test_the_example_of_its_documentation_runs():
-    result = doctest.testmod(training.estimator)
+    result = doctest.testmod(training.estimator.narx)
     assert result.attempted > 4
     assert result.failed == 0
 

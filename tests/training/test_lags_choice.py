@@ -7,8 +7,8 @@ from data_prep.log import Log, Source
 from narxcal.lumped.engine import LumpedEngine
 from narxcal.lumped.rotors import LIMITED, UNLIMITED
 from training.config import RunConfig
-from training.lag_priors import Form, start_engine
-from training.lags import _CHOICE_GRID_S, LagChoice, _Judged, choose_form
+from training.dynamics.lag_priors import Form, start_engine
+from training.dynamics.lags import _CHOICE_GRID_S, LagChoice, _Judged, choose_form
 
 INPUTS, OUTPUTS = ("TRA_deg", "ALT_ft", "Mach"), ("N1_pct", "N2_pct", "EGT_C")
 CENTRE, HALF = np.array([62.0, 75.0, 520.0]), np.array([35.0, 20.0, 240.0])
@@ -79,7 +79,7 @@ def asked(monkeypatch):
         found.append(sum(len(each.ss) for each in samples))
         return TRUTHS["plain"]
 
-    monkeypatch.setattr("training.lags.fitted_form", fitted)
+    monkeypatch.setattr("training.dynamics.lags.fitted_form", fitted)
     return found
 
 
@@ -174,7 +174,7 @@ def test_another_form_has_to_be_better_by_a_standard_error(losses, ratios, form,
             pairs = [(0.0, 0.0)] * 3
         return [_Judged(0.5 + np.full((2, 1), loss), error) for loss, error in pairs]
 
-    monkeypatch.setattr("training.lags.Trial.judged", judged)
+    monkeypatch.setattr("training.dynamics.lags.Trial.judged", judged)
     logs = [flight(number, TRUTHS["plain"]) for number in (1, 2, 3)]
     assert choose_form(config(lag_governed=False), Line(), logs)[1].form == form
 
@@ -187,7 +187,7 @@ def test_an_output_that_one_recording_masks_does_not_end_the_comparison():
 
 
 def test_of_many_hours_every_so_many_th_recording_is_asked(monkeypatch, asked):
-    monkeypatch.setattr("training.lags._ENOUGH_S", 2.0 * MOVES * HOLD * DT_S)
+    monkeypatch.setattr("training.dynamics.lags._ENOUGH_S", 2.0 * MOVES * HOLD * DT_S)
     logs = [flight(number, TRUTHS["plain"]) for number in range(6)]
     both = [log for log in logs for _ in range(2)]  # two engines of each flight
     told = []

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from narxcal.support.errors import DataError, ModelError
-from training.lag_priors import Form, start_engine
-from training.lags import fit_engine, scales_of
+from training.dynamics.lag_priors import Form, start_engine
+from training.dynamics.lags import fit_engine, scales_of
 from training.records import LagSamples
 
 NAMES = (("ALT_ft", "Mach"), ("N1_pct", "N2_pct", "EGT_C"))

@@ -7,8 +7,8 @@ from narxcal.lumped.engine import LumpedEngine
 from narxcal.lumped.rotors import LIMITED as PARAMETERS
 from narxcal.lumped.rotors import UNLIMITED
 from narxcal.support.errors import DataError
-from training.lag_priors import Form, start_engine
-from training.lags import fit_engine
+from training.dynamics.lag_priors import Form, start_engine
+from training.dynamics.lags import fit_engine
 from training.records import LagSamples
 
 NAMES = (("ALT_ft",), ("N1_pct", "N2_pct", "EGT_C"))

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import t as student
 
 from narxcal.calibration.run_record import MixtureChannel
-from training.levels import PRIOR_LOGS, checks, lag_of, level_of, prior_scatter
+from training.screening.levels import PRIOR_LOGS, checks, lag_of, level_of, prior_scatter
 
 DT_S = 0.1
 TIME_S = DT_S * np.arange(6000)

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import norm
 
-from training.likelihood_statistics import (
+from training.papers.likelihood_statistics import (
     autocovariance,
     coloured_covariance,
     combine,

@@ -9,8 +9,8 @@ from data_prep.log import Finding, Source
 from narxcal.support.errors import DataError
 from tests.training.test_screening import DT_S, ROWS, engine
 from training.config import RunConfig
-from training.masking import learnable
 from training.records import Split
+from training.screening.masking import learnable
 
 INPUTS = ("FF_kgph", "ALT_ft", "Mach", "dT_C")
 OUTPUTS = ("N1_pct", "N2_pct", "EGT_C")

@@ -5,8 +5,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from training.mixture import MODELS, HeldOut, Mixture, error_products, leader_of, weights_of
-from training.transients import Responses
+from training.dynamics.mixture import (
+    MODELS,
+    HeldOut,
+    Mixture,
+    error_products,
+    leader_of,
+    weights_of,
+)
+from training.responses.transients import Responses
 
 ALL = np.ones(len(MODELS), dtype=bool)
 LAGS, SIMPLE = MODELS.index("lags"), MODELS.index("first_order")

@@ -17,8 +17,15 @@ from narxcal.narx.network import NarxModel, Scaling
 from narxcal.record import Record
 from narxcal.support.errors import DataError
 from training.config import TrainConfig
-from training.free_run import FreeRunProblem, cut_windows
-from training.network import Material, fit_narx, merge_models, net_of, new_model, start_linear
+from training.dynamics.network import (
+    Material,
+    fit_narx,
+    merge_models,
+    net_of,
+    new_model,
+    start_linear,
+)
+from training.estimator.free_run import FreeRunProblem, cut_windows
 
 STRUCTURE = NarxConfig(lags=1, taps=(0,), hidden=3)
 SHORT = TrainConfig(

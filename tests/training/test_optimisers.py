@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
-from training.optimisers import Damping, adam, minimise
+from training.dynamics.optimisers import Damping, adam, minimise
 
 
 @dataclass

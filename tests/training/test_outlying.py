@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from tests.training.test_masking import CONFIG, flight
 from tests.training.test_steady_fit import LAYOUT, truth
 from training.config import RunConfig, SteadyFitConfig
-from training.masking import learnable
 from training.methods import TrainOptions
 from training.pipeline import calibrate
 from training.records import Split
-from training.steady_choice import Outlier, contradicting, outliers, steady_state, without
-from training.steady_fit import SteadySamples
+from training.screening.masking import learnable
+from training.steady.steady_choice import Outlier, contradicting, outliers, steady_state, without
+from training.steady.steady_fit import SteadySamples
 
 ROWS = 300
 

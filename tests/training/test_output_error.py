@@ -11,7 +11,7 @@ from narxcal.output_error.blocks import lag, play
 from narxcal.output_error.engine import Parameter
 from narxcal.record import Record
 from narxcal.support.errors import ConfigError, DataError, ModelError
-from training.output_error import Plan, fit
+from training.papers.output_error import Plan, fit
 
 
 @dataclass(frozen=True)

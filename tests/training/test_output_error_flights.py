@@ -8,8 +8,8 @@ import pytest
 from data_prep.log import Log
 from narxcal.output_error.engine import EngineFromSteady
 from narxcal.support.errors import DataError
-from training.identify import OFFSETS, steady_record
-from training.output_error import Plan, fit
+from training.papers.identify import OFFSETS, steady_record
+from training.papers.output_error import Plan, fit
 
 TRUE = {
     "tau_H": 0.9, "tau_L": 1.4, "alpha": 0.6, "tau_T": 2.0, "beta": 2.5, "rate_H": 0.03,

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
+from data_prep.cleaning.smooth import SmoothConfig, smooth
 from data_prep.log import Log, Source
-from data_prep.smooth import SmoothConfig, smooth
 from narxcal.atmosphere import air_state
 from narxcal.calibration.bundle import Bundle, load_bundle, save_bundle
 from narxcal.calibration.fuser import FastFuser
@@ -19,8 +19,8 @@ from narxcal.support.errors import ConfigError, DataError, ModelError
 from narxcal.support.files import to_json
 from training import pipeline
 from training.config import RunConfig, SplitConfig
+from training.dynamics.network import net_of
 from training.methods import TrainOptions
-from training.network import net_of
 from training.pipeline import (
     calibrate,
     calibration_for,

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from narxcal.narx.config import NarxConfig
 from narxcal.record import Record
 from training.config import TrainConfig
-from training.network import Material, fit_narx
+from training.dynamics.network import Material, fit_narx
 from training.records import largest, locally_trimmed, motion_weight, rest_records
 
 DT_S = 0.1

@@ -10,7 +10,13 @@ from scipy.optimize import brentq
 from scipy.signal import lti, step
 
 from narxcal.support.errors import DataError
-from training.response import HIGH, LOW, TransientConfig, low_and_high_crossing, measure_transient
+from training.responses.response import (
+    HIGH,
+    LOW,
+    TransientConfig,
+    low_and_high_crossing,
+    measure_transient,
+)
 
 START_S = 2.0
 CONFIG = TransientConfig(least_response=5.0)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from training.scatter import ScatterPrior
+from training.screening.scatter import ScatterPrior
 
 PRIOR = ScatterPrior({"%": 0.005, "degC": 0.008}, 0.01, 0.15, 1.3, 0.6)
 

@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from data_prep.cleaning.plausibility import checked
 from data_prep.log import Log, Source
-from data_prep.plausibility import checked
 from data_prep.prepare import prepare
 from data_prep.reading import read_logs
 from narxcal.atmosphere import KELVIN
 from narxcal.support.errors import ModelError
 from training.config import load_config
-from training.masking import by_each_other
 from training.pipeline import configured_files
-from training.redundancy import Bank, agreement
-from training.redundancy_fit import Pool, learn, robust_weights
-from training.screening import screened
+from training.screening.masking import by_each_other
+from training.screening.redundancy import Bank, agreement
+from training.screening.redundancy_fit import Pool, learn, robust_weights
+from training.screening.screen import screened
 
 DT_S = 0.2
 ROWS = 6000  # twenty minutes

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from narxcal.support.errors import DataError
-from training.ladder import best_by_rung, leading, pseudo_bma, simplex, table
-from training.search import Form, Tried, beats
+from training.estimator.ladder import best_by_rung, leading, pseudo_bma, simplex, table
+from training.estimator.search import Form, Tried, beats
 
 
 def tried(rung, parameters, scores, *, whole=True):

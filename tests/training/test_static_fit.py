@@ -19,7 +19,7 @@ from narxcal.static_models import (
     yoder_plus,
 )
 from narxcal.support.errors import DataError, ModelError
-from training.static_fit import (
+from training.steady.static_fit import (
     SEARCHES,
     Boxed,
     FitSettings,

@@ -7,7 +7,7 @@ from data_prep.log import Log, Source
 from narxcal.atmosphere import air_state
 from narxcal.support.errors import ConfigError, DataError
 from training.config import RunConfig
-from training.steady_choice import chosen_layout, steady_state
+from training.steady.steady_choice import chosen_layout, steady_state
 
 HOLD = 40  # samples, 1 s apart
 NAMES = ("N1_pct", "EGT_C")

@@ -11,7 +11,7 @@ from narxcal.atmosphere import air_at
 from narxcal.steady.fitted import Layout
 from narxcal.support.errors import ConfigError, DataError
 from training.config import SteadyFitConfig, SteadyStateConfig
-from training.steady_fit import SteadySamples, fit_steady_state
+from training.steady.steady_fit import SteadySamples, fit_steady_state
 
 LAYOUT = Layout(
     input_names=("TRA_deg", "ALT_ft", "Mach", "dT_C"),

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from training.scatter import (
+from training.screening.scatter import (
     BLOCK_S,
     LEAST_STRETCH_S,
     Blocks,

@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 
 from narxcal.support.errors import DataError
 from narxcal.transfer import StateSpace
-from training.subspace import (
+from training.papers.subspace import (
     SubspaceSettings,
     initial_state,
     input_matrices,

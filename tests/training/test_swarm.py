@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from training.swarm import CHI, INFLUENCE, swarm
+from training.papers.swarm import CHI, INFLUENCE, swarm
 
 LOW, HIGH = np.full(4, -5.0), np.full(4, 5.0)
 CENTRE = np.array([1.0, -2.0, 0.5, 3.0])

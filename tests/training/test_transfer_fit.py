@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from narxcal.support.errors import DataError, ModelError
-from training.transfer_fit import (
+from training.papers.transfer_fit import (
     KINDS,
     LN_EARLY,
     LN_LATE,

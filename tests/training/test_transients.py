@@ -15,9 +15,9 @@ from data_prep.log import Log
 from narxcal.support.errors import ConfigError, DataError
 from narxcal.support.files import finite
 from training.config import RunConfig
-from training.response import Transient
-from training.rules import RULES, compare_transients, rules, time_bands
-from training.transients import (
+from training.responses.response import Transient
+from training.responses.rules import RULES, compare_transients, rules, time_bands
+from training.responses.transients import (
     AssessedEvent,
     Overlay,
     Tally,

@@ -6,7 +6,7 @@ import pytest
 from data_prep.log import Log, Source
 from narxcal.steady.table import SteadyTable
 from training.config import RunConfig
-from training.transport import choose_delay, delayed
+from training.dynamics.transport import choose_delay, delayed
 
 NAMES, DT_S = (("TRA_deg",), ("N1_pct", "N2_pct", "EGT_C")), 0.1
 LEVELS = np.array([0.0, 20.0, 40.0, 60.0, 80.0])[:, None]

@@ -19,8 +19,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from data_prep.config import ENGINE, LogsConfig
-from data_prep.text_file import open_text
-from data_prep.units import find_unit
+from data_prep.sources.text_file import open_text
+from data_prep.sources.units import find_unit
 from eval.diagnosis.blind.cases import BlindPlan
 from eval.diagnosis.blind.make import Made
 from narxcal.channels import channel

@@ -13,10 +13,10 @@ from eval import bench
 from eval.benchmarks import Row, public_sets, speed
 from eval.benchmarks import flights as picture
 from narxcal.support.errors import DataError
-from training.ladder import Limits
-from training.rules import Verdict
-from training.search import Rates, counted
-from training.transients import AssessedEvent
+from training.estimator.ladder import Limits
+from training.estimator.search import Rates, counted
+from training.responses.rules import Verdict
+from training.responses.transients import AssessedEvent
 
 
 @pytest.fixture

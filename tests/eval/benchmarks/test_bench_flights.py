@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from eval.benchmarks.flights import Campaign, _outside, _windows
-from training.rules import TimeCheck, Verdict
+from training.responses.rules import TimeCheck, Verdict
 
 WINDOWS = ((10.0, 20.0),)
 CAMPAIGN = Campaign("two", "two.toml", {"N1_pct": 1.0}, {}, unlogged={"second": WINDOWS})

@@ -15,7 +15,7 @@ import pytest
 from data_prep.prepare import hold_inputs, prepare
 from data_prep.reading import read_logs
 from eval.benchmarks.recorders import Recorder
-from eval.evaluate import evaluate
+from eval.judging.evaluate import evaluate
 from training.config import load_config
 from training.folds import leave_one_flight_out
 from training.pipeline import calibrate, configured_files, prepare_logs

@@ -11,16 +11,16 @@ import pytest
 
 from data_prep.events import Event
 from data_prep.log import Audit, AuditEntry, Log, Source
-from eval.evaluate import Evaluation
-from eval.free_run import FreeRun
-from eval.log_evaluation import LogEvaluation
+from eval.judging.evaluate import Evaluation
+from eval.judging.free_run import FreeRun
+from eval.judging.log_evaluation import LogEvaluation
+from eval.judging.residuals import residual_tests
+from eval.judging.scores import ChannelScores
+from eval.judging.trim import Trim
 from eval.report.page import RunHeader
 from eval.report.view import LogView
-from eval.residuals import residual_tests
 from eval.run_logs import EvaluateConfig
-from eval.scores import ChannelScores
-from eval.trim import Trim
-from training.transients import Overlay, TransientsConfig, assessed
+from training.responses.transients import Overlay, TransientsConfig, assessed
 
 HOSTILE = '<script>alert("x")</script> & co.csv:left'
 DT_S = 0.1

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from eval.evaluate import evaluate
+from eval.judging.evaluate import evaluate
 from eval.report.page import evaluate_page
 from eval.report.style import number
 from eval.report.view import view_of

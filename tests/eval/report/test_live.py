@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from pypdf import PdfReader
 
 from data_prep.log import Log
-from eval.compare import Comparison, Recording, Row
-from eval.outcome import Outcome
+from eval.judging.compare import Comparison, Recording, Row
+from eval.judging.outcome import Outcome
 from eval.report import live
 from eval.report.live import Chart, Line, Mark, Panel
 from eval.report.page import compare_page, evaluate_page

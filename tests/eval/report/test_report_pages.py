@@ -13,8 +13,9 @@ import pytest
 from markupsafe import escape
 
 from data_prep.log import Audit, AuditEntry, Log
-from eval.crossval import CrossValidation, FoldResult
-from eval.outcome import Outcome
+from eval.judging.crossval import CrossValidation, FoldResult
+from eval.judging.outcome import Outcome
+from eval.judging.trim import Trim
 from eval.preparation import most_to_show
 from eval.report import tables
 from eval.report.event_figures import summary_figure
@@ -30,8 +31,7 @@ from eval.report.page import (
 from eval.report.style import number
 from eval.report.view import LogView
 from eval.run_logs import EvaluateConfig
-from eval.trim import Trim
-from training.transients import AssessedEvent
+from training.responses.transients import AssessedEvent
 
 HOSTILE = '<script>alert("x")</script> & co.csv:left'
 

@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from eval import terminal
-from eval.crossval import CrossValidation, FoldResult
+from eval.judging.crossval import CrossValidation, FoldResult
 from eval.report.style import number
 from eval.run_logs import EvaluateConfig
 

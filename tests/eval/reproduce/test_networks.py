@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from data_prep.events import find_events
-from eval.crossval import CrossValidation, FoldResult
+from eval.judging.crossval import CrossValidation, FoldResult
 from eval.reproduce.data import Effort, within
 from eval.reproduce.inputs import deviations, fed_record, fed_variants, inputs, variants
 from eval.reproduce.narx_paper import family_of, goal, goal_config, goal_training

@@ -6,7 +6,7 @@ import pytest
 from eval.reproduce.spey import identify, prediction_error, repeatability, tau_engine_of
 from narxcal.output_error.engine import EngineAndControl
 from narxcal.output_error.paper import fly, noise_sd, table_4
-from training.output_error import Plan, fit
+from training.papers.output_error import Plan, fit
 
 TRUE = table_4("left")
 

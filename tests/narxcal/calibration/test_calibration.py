@@ -19,7 +19,7 @@ from narxcal.steady.model import Envelope
 from narxcal.steady.table import SteadyTable
 from narxcal.support.errors import ConfigError, DataError, ModelError
 from tests.narxcal.calibration.test_calibration_lag import calibration as behind_lags
-from training.network import net_of
+from training.dynamics.network import net_of
 
 INPUTS, OUTPUTS = ("TRA_deg", "Mach"), ("N1_pct", "EGT_C")
 

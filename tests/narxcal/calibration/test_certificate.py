@@ -27,7 +27,7 @@ from narxcal.steady.table import SteadyTable
 from narxcal.support.errors import ModelError
 from narxcal.support.settings import read_stored
 from narxcal.transfer import Schedule, StateSpace
-from training.lag_priors import Form, start_engine
+from training.dynamics.lag_priors import Form, start_engine
 
 INPUTS, OUTPUTS = ("TRA_deg", "ALT_ft", "Mach"), ("N1_pct", "N2_pct", "EGT_C")
 CENTRE, HALF = np.array([62.0, 75.0, 520.0]), np.array([35.0, 20.0, 200.0])

@@ -10,7 +10,7 @@ from narxcal.narx.config import NarxConfig
 from narxcal.narx.module import NarxNet
 from narxcal.narx.network import NarxModel, Scaling, history_before, tap
 from narxcal.support.errors import ConfigError, DataError, ModelError
-from training.network import net_of
+from training.dynamics.network import net_of
 
 
 def model(seed=0, inputs=2, outputs=2, **config):

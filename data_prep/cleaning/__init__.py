@@ -1,0 +1,1 @@
+"""What is wrong with a log by itself: spikes, stuck and implausible channels, copies."""

@@ -1,0 +1,1 @@
+"""`Narx`, a scikit-learn estimator for records of any system, and the ladder of forms it climbs."""
