@@ -43,10 +43,10 @@ from narxcal.narx.network import NarxModel, Scaling
 from narxcal.record import Record
 from narxcal.support.arrays import FloatArray
 from training.config import RunConfig, load_config
+from training.dynamics.free_run import FreeRunProblem, cut_windows
 from training.dynamics.network import Material, net_of, new_model
 from training.dynamics.optimisers import adam
 from training.estimator.forms import drawn_networks, network_kind, network_size
-from training.estimator.free_run import FreeRunProblem, cut_windows
 from training.estimator.latent import Data, at_decay, fit_linear, grown
 from training.estimator.search import counted
 from training.pipeline import calibrate, prepare_logs

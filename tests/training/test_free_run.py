@@ -10,10 +10,10 @@ from narxcal.narx import kernels
 from narxcal.narx.module import NarxNet
 from narxcal.narx.network import AT_START, NarxConfig, NarxModel, Scaling
 from narxcal.record import Record
+from training.dynamics import free_run
+from training.dynamics.free_run import FreeRunProblem, cut_windows
 from training.dynamics.network import net_of
 from training.dynamics.optimisers import adam, minimise
-from training.estimator.free_run import FreeRunProblem, cut_windows
-from training.estimator.narx import free_run
 
 
 def make_model(config: NarxConfig, inputs: int = 3, outputs: int = 2, seed: int = 0) -> NarxModel:

@@ -11,9 +11,9 @@ from sklearn.base import clone
 from narxcal import Narx, Record
 from narxcal.narx.network import Scaling
 from narxcal.support.errors import ConfigError, DataError, ModelError
+from training.estimator import search
 from training.estimator.ladder import Limits, choose, divide
 from training.estimator.latent import Data, Shape, fit_linear, grown, path
-from training.estimator.narx import search
 from training.estimator.search import record_folds
 
 QUICK = Limits(1.0)

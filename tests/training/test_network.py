@@ -17,6 +17,7 @@ from narxcal.narx.network import NarxModel, Scaling
 from narxcal.record import Record
 from narxcal.support.errors import DataError
 from training.config import TrainConfig
+from training.dynamics.free_run import FreeRunProblem, cut_windows
 from training.dynamics.network import (
     Material,
     fit_narx,
@@ -25,7 +26,6 @@ from training.dynamics.network import (
     new_model,
     start_linear,
 )
-from training.estimator.free_run import FreeRunProblem, cut_windows
 
 STRUCTURE = NarxConfig(lags=1, taps=(0,), hidden=3)
 SHORT = TrainConfig(

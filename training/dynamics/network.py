@@ -22,8 +22,8 @@ from narxcal.support.arrays import FloatArray
 from narxcal.support.files import finite
 from narxcal.support.interrupt import Interrupt, held_interrupt
 from training.config import TrainConfig
+from training.dynamics.free_run import FreeRunProblem, cut_windows
 from training.dynamics.optimisers import Damping, Moments, adam, minimise
-from training.estimator.free_run import FreeRunProblem, cut_windows
 
 _POLES = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98, 0.995)
 _RIDGE = 1e-6
