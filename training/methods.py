@@ -50,7 +50,7 @@ from training.dynamics.optimisers import Damping, Moments
 from training.dynamics.transport import DelayChoice, choose_delay, delayed
 from training.papers.identify import Identified, output_error, static_laws, subspace_model, transfer
 from training.records import Split, material, structure_of
-from training.screening.masking import Learnable
+from training.screening.masking import TrainingData
 from training.steady.steady_choice import contradicting, steady_state, with_layout, without
 from training.steady.steady_fit import SteadyQuality
 
@@ -63,7 +63,7 @@ class TrainOptions:
     """How to run a training: who shows progress, where checkpoints go, whether to resume from them.
 
     `screened` logs have the faults that
-    `training.screening.masking.by_each_other` finds, such as parts of logs that were screened
+    `training.screening.masking.cross_screen` finds, such as parts of logs that were screened
     whole.
     """
 
@@ -83,7 +83,7 @@ class SteadyFit:
     """
 
     config: RunConfig
-    learned: Learnable
+    learned: TrainingData
     split: Split
     steady: SteadyStateModel
     quality: SteadyQuality | None = None
@@ -108,7 +108,7 @@ class Method(Protocol):
     """Identify a calibration from logs; raises `DataError` for logs that do not determine it."""
 
     def __call__(
-        self, config: RunConfig, base: Path, learned: Learnable, options: TrainOptions
+        self, config: RunConfig, base: Path, learned: TrainingData, options: TrainOptions
     ) -> Identification:
         """`base` is the folder that paths of `config` are relative to."""
         ...
@@ -120,15 +120,17 @@ def method_of(config: RunConfig) -> Method:
     return _METHODS[STATIC if name.startswith(STATIC) else name]
 
 
-def _fit_steady(config: RunConfig, base: Path, learned: Learnable, progress: Progress) -> SteadyFit:
+def _fit_steady(
+    config: RunConfig, base: Path, learned: TrainingData, progress: Progress
+) -> SteadyFit:
     """Fit or open the steady state, without logs that contradict the others and without delay."""
     split = learned.split.with_outputs(config.narx.outputs)
     chosen = with_layout(config, split.train)
-    spoilt = contradicting(chosen, split.train)
-    if spoilt:
-        split = replace(split, train=without(split.train, spoilt))
+    outlying = contradicting(chosen, split.train)
+    if outlying:
+        split = replace(split, train=without(split.train, outlying))
         chosen = with_layout(config, split.train)
-    learned = replace(learned, split=split, contradicting=tuple(spoilt))
+    learned = replace(learned, split=split, contradicting=tuple(outlying))
     steady, quality = steady_state(chosen, base, split.train)
     split = split.held(steady.input_names)
     late = choose_delay(chosen, steady, split.train, progress)
@@ -139,7 +141,7 @@ def _fit_steady(config: RunConfig, base: Path, learned: Learnable, progress: Pro
 
 
 def _narx(
-    config: RunConfig, base: Path, learned: Learnable, options: TrainOptions
+    config: RunConfig, base: Path, learned: TrainingData, options: TrainOptions
 ) -> Identification:
     """Fit lags and network, weigh them and simple models; the configuration has the lags' form."""
     steady_fit = _fit_steady(config, base, learned, options.progress)
@@ -277,7 +279,7 @@ class _OnSteadyState:
     fit: Callable[[RunConfig, SteadyStateModel, Sequence[Log]], Identified]
 
     def __call__(
-        self, config: RunConfig, base: Path, learned: Learnable, options: TrainOptions
+        self, config: RunConfig, base: Path, learned: TrainingData, options: TrainOptions
     ) -> Identification:
         steady_fit = _fit_steady(config, base, learned, options.progress)
         options.progress(0, 1, f"identifying by {config.identify.method}")
@@ -289,7 +291,7 @@ class _OnSteadyState:
 def _static_law(
     config: RunConfig,
     base: Path,  # noqa: ARG001 (of `Method`: a law has no file)
-    learned: Learnable,
+    learned: TrainingData,
     options: TrainOptions,
 ) -> Identification:
     options.progress(0, 1, f"identifying by {config.identify.method}")

@@ -52,7 +52,7 @@ from training.folds import Plan
 from training.methods import TrainOptions, method_of
 from training.records import LEAST_WIDTHS, Split, split_logs
 from training.screening.levels import prior_scatter
-from training.screening.masking import learnable
+from training.screening.masking import training_data
 from training.screening.redundancy_fit import learn
 from training.steady.steady_fit import SteadyQuality
 
@@ -60,7 +60,7 @@ T = TypeVar("T")
 # Scatter of recordings of a fleet, as a share of the tolerance that level checks allow. Its prior
 # counts as two recordings. Chosen by one flown fleet and seven recorders; with a second fleet 0.35
 # and 1.4 recordings are the most likely (`python -m eval.bench --fleets` of 2f9145a).
-BETWEEN: Final = 0.4
+RECORDING_SCATTER: Final = 0.4
 
 
 def configured_files(config: RunConfig, base: Path) -> list[Path]:
@@ -160,14 +160,14 @@ def _calibrated(config: RunConfig, base: Path, split: Split, options: TrainOptio
     _check_interval([*split.train, *split.validate])
     identities = _identities(split)
     options.progress(0, 1, "comparing the logs with each other")
-    learned = learnable(split, config, screen=not options.screened)
+    learned = training_data(split, config, screen=not options.screened)
     options.progress(0, 1, "fitting the steady state")
     found = method_of(config)(config, base, learned, options)
     steady_fit, split, entries = found.steady_fit, found.steady_fit.split, found.entries
     options.progress(0, 1, "holding inputs constant")
     lags = Baselines.from_json(entries["baselines"]).lags(found.calibration.dt_s)
     reach = input_reach(split.train, found.calibration.input_names)
-    calibration, certificate, lost = settling(found.calibration.reaching(*reach), lags)
+    calibration, certificate, lost = settling(found.calibration.with_input_limits(*reach), lags)
     # Where only a decay bound was added, the held-out runs without it stand in.
     lead = bool(lost) and calibration.members.members == lags
     held = (found.held_lags if lead else found.held) or free_runs(calibration, split.validate)
@@ -287,7 +287,7 @@ def interval_of(held: Sequence[HeldRun], names: Sequence[str]) -> HalfWidths | N
     ]
     typical = np.nan_to_num(known_mean(np.concatenate([np.abs(one.measured) for one in held])))
     pairs = zip(names, typical.tolist(), strict=True)
-    scatter = [BETWEEN * prior_scatter(*pair) for pair in pairs]
+    scatter = [RECORDING_SCATTER * prior_scatter(*pair) for pair in pairs]
     return joined(found, np.array(scatter))
 
 

@@ -36,7 +36,7 @@ from narxcal.support.errors import NarxcalError
 from training.config import RunConfig, load_config
 from training.pipeline import calibrate
 from training.records import Split
-from training.screening.masking import by_each_other
+from training.screening.masking import cross_screen
 from training.screening.redundancy import is_measured
 from training.screening.redundancy_fit import learn
 from training.screening.scatter import PRIORS, Priors, ScatterPrior, StepPrior
@@ -147,7 +147,7 @@ def screening(
     config = recorder.config
     raw = [one.log for one in prepare(train, config)]
     names = (*config.narx.outputs, *config.steady_state.inputs)
-    training = by_each_other(raw, names, priors)
+    training = cross_screen(raw, names, priors)
     bank = learn([log.without_faults() for log in training], names, priors)
     others = screened(bank, [one.log for one in prepare(judged, config)])
     return [_screened(log, names) for log in (*training, *others)]
@@ -244,7 +244,7 @@ class Shown:
         config = recorder.config
         names = (*config.narx.outputs, *config.steady_state.inputs)
         raw = [log for logs in recorder.recordings.values() for log in logs]
-        logs = by_each_other([one.log for one in prepare(raw, config)], names)
+        logs = cross_screen([one.log for one in prepare(raw, config)], names)
         bank = learn([log.without_faults() for log in logs], names)
         if bank is None:
             return cls({}, {}, {})

@@ -73,7 +73,7 @@ from training.diagnosis.fit import Frame
 from training.diagnosis.load import windows_of
 from training.diagnosis.metric import Metric, Record, assumed_variance
 from training.diagnosis.nuisances import nuisances
-from training.diagnosis.verdict import ASSUMED, Differences, Engines, concluded, weigh
+from training.diagnosis.verdict import ASSUMED, Engines, NullModel, concluded, weigh
 
 _NOTHING: Final = Interval(0.0, 0.0, 0.0)
 _STEPS: Final = 4
@@ -176,7 +176,7 @@ def diagnose_folders(request: Request, progress: Progress = silent) -> Answer:
     learned, warnings = _learned_of(request, simulator, progress)
     if learned is not None and request.build != 1.0:
         warnings.append("what the run gets wrong by itself is learned: --build has no effect")
-    differences = Differences(learned, request.build)
+    differences = NullModel(learned, request.build)
     answer = diagnose_pairs(
         pairs, held, simulator.again, differences, progress, doubts=screening.doubts
     )
@@ -265,7 +265,7 @@ def diagnose_pairs(  # noqa: PLR0913 - what is known of the pairs, each part by 
     pairs: Sequence[Pair],
     held: Sequence[Pair] = (),
     again: Simulate | None = None,
-    differences: Differences = ASSUMED,
+    differences: NullModel = ASSUMED,
     progress: Progress = silent,
     *,
     doubts: Sequence[str] = (),
@@ -306,7 +306,7 @@ def diagnose_pairs(  # noqa: PLR0913 - what is known of the pairs, each part by 
     return Answer(document(evidence, pairs), found, evidence, emulator)
 
 
-def _refused(evidence: Evidence, record: Record, differences: Differences) -> str:
+def _refused(evidence: Evidence, record: Record, differences: NullModel) -> str:
     """Why effects are no answer that take nothing off flights, or parts of few, that did not fit.
 
     The lower end of the share's interval may not read 0 %; the share itself where the gap is for

@@ -159,9 +159,9 @@ def sentences(document: Row) -> list[str]:
     if verdict["ambiguous_with"]:
         both = [name for name in (*verdict["effects"], *verdict["ambiguous_with"]) if name in rows]
         words = [f"{in_words(name)} ({percent(rows[name]['probability'])})" for name in both]
-        told = verdict["separating_manoeuvre"]
+        manoeuvre = verdict["separating_manoeuvre"]
         found.append(f"One answer, which these flights do not divide: {listed(words, 'or')}.")
-        found.append(f"What would: {told}.")
+        found.append(f"What would: {manoeuvre}.")
     if (left := shares.get("unexplained")) is not None:
         share = percent(left["share"]) if left["share"] < 1.0 else "All"
         share = "No part" if share == percent(0.0) else share

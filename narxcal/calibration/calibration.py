@@ -163,7 +163,7 @@ class Calibration(ABC):
         """The calibration with another steady-state model of the same inputs and outputs."""
         return self._with(steady=steady)
 
-    def reaching(self, low: ArrayLike, high: ArrayLike) -> Self:
+    def with_input_limits(self, low: ArrayLike, high: ArrayLike) -> Self:
         """The calibration with inputs (n_in,) that saturate at these limits.
 
         Whatever the inputs, the outputs are then those of conditions in a box: bounded. Raises

@@ -392,7 +392,7 @@ def calibration_from_arrays(
         found = DynamicCalibration.from_arrays(meta, arrays, trust=trust)
     reach, interval = meta.get("reach"), meta.get("interval")
     if reach is not None:
-        found = found.reaching(reach["low"], reach["high"])
+        found = found.with_input_limits(reach["low"], reach["high"])
     if meta.get("delay") is not None:
         found = found.with_delay(TransportDelay.from_json(meta["delay"], found.input_names))
     if interval is not None:

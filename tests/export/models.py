@@ -96,7 +96,7 @@ def narx(steady, lag=None, **config):
     model = NarxModel(Weights.of(config, arrays), *scaling)
     settle_s = 10.0 if moving else None
     plain = DynamicCalibration(steady, model, DT_S, ("ALT_ft", "Mach"), settle_s)
-    return plain.with_lag(lag).reaching(LOW - 50.0, 1.2 * HIGH)
+    return plain.with_lag(lag).with_input_limits(LOW - 50.0, 1.2 * HIGH)
 
 
 def mixed():

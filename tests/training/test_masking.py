@@ -10,7 +10,7 @@ from narxcal.support.errors import DataError
 from tests.training.test_screening import DT_S, ROWS, engine
 from training.config import RunConfig
 from training.records import Split
-from training.screening.masking import learnable
+from training.screening.masking import training_data
 
 INPUTS = ("FF_kgph", "ALT_ft", "Mach", "dT_C")
 OUTPUTS = ("N1_pct", "N2_pct", "EGT_C")
@@ -42,7 +42,7 @@ def test_an_input_that_is_lost_for_long_divides_the_log(sound):
     fuel = log["FF_kgph"].copy()
     fuel[2000:2600] = np.nan
     fuel[4000:4005] = np.nan
-    found = learnable(Split((log.with_channels({"FF_kgph": fuel}), *sound[1:]), (), ()), CONFIG)
+    found = training_data(Split((log.with_channels({"FF_kgph": fuel}), *sound[1:]), (), ()), CONFIG)
     first, second, *others = found.split.train
     assert (len(first), len(second)) == (2000, ROWS - 2600)
     assert [len(each) for each in others] == [ROWS, ROWS]
@@ -52,7 +52,7 @@ def test_an_input_that_is_lost_for_long_divides_the_log(sound):
 
 def test_a_part_too_short_for_a_response_is_left_out_and_counted(sound):
     short = sound[0].part(0, 2)
-    found = learnable(Split((short, *sound[1:]), (), ()), CONFIG)
+    found = training_data(Split((short, *sound[1:]), (), ()), CONFIG)
     assert [len(each) for each in found.split.train] == [ROWS, ROWS]
     assert found.row()["logs"][0]["left_out_rows"] == 2
 
@@ -64,7 +64,7 @@ def finding(name, channel, start_s, end_s):
 def test_masked_samples_are_counted_by_log_and_channel(sound):
     found = finding("flight 1", "EGT_C", 100.0, 199.9)
     log = replace(sound[0], findings=(found,))
-    row = learnable(Split((log, *sound[1:]), (), ()), CONFIG, screen=False).row()
+    row = training_data(Split((log, *sound[1:]), (), ()), CONFIG, screen=False).row()
     assert row["findings"] == [found.row()]
     assert [each["masked"] for each in row["logs"]] == [{"EGT_C": round(100.0 / DT_S)}, {}, {}]
 
@@ -72,14 +72,14 @@ def test_masked_samples_are_counted_by_log_and_channel(sound):
 def test_a_finding_of_the_whole_log_masks_nothing(sound):
     found = replace(finding("flight 1", "EGT_C", None, None), kind="unit")
     log = replace(sound[0], findings=(found,))
-    learned = learnable(Split((log, *sound[1:]), (), ()), CONFIG, screen=False)
+    learned = training_data(Split((log, *sound[1:]), (), ()), CONFIG, screen=False)
     assert learned.row()["findings"] == [found.row()]
     assert all(each["masked"] == {} for each in learned.row()["logs"])
 
 
 def test_a_log_whose_input_is_at_fault_throughout_is_left_out(sound):
     bad = replace(sound[0], findings=(finding("flight 1", "FF_kgph", 0.0, 1e9),))
-    found = learnable(Split((bad, *sound[1:]), (), ()), CONFIG)
+    found = training_data(Split((bad, *sound[1:]), (), ()), CONFIG)
     assert [log.name for log in found.split.train] == ["flight 2", "flight 3"]
     assert found.row()["logs"][0]["left_out_rows"] == ROWS
 
@@ -87,7 +87,7 @@ def test_a_log_whose_input_is_at_fault_throughout_is_left_out(sound):
 def test_logs_that_are_all_at_fault_are_refused_with_the_first_reason(sound):
     bad = [replace(log, findings=(finding(log.name, "Mach", 0.0, 1e9),)) for log in sound[:2]]
     with pytest.raises(DataError) as caught:
-        learnable(Split(tuple(bad), (), ()), CONFIG)
+        training_data(Split(tuple(bad), (), ()), CONFIG)
     assert str(caught.value) == (
         "flight 1: no training log has a stretch with all inputs and an output. Masked is flight "
         "1: Mach stuck, t+0:00.0 to t+277777:46:40.0: stays at 0"

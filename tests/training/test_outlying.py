@@ -14,7 +14,7 @@ from training.config import RunConfig, SteadyFitConfig
 from training.methods import TrainOptions
 from training.pipeline import calibrate
 from training.records import Split
-from training.screening.masking import learnable
+from training.screening.masking import training_data
 from training.steady.steady_choice import Outlier, contradicting, outliers, steady_state, without
 from training.steady.steady_fit import SteadySamples
 
@@ -121,7 +121,7 @@ def test_it_is_not_learned_from_and_that_is_said_and_counted(rigged):
     assert list(bundle.record.logs("train")) == [log.name for log in rigged if log is not rigged[1]]
     [text] = bundle.record.doubtful_logs
     assert text.startswith("2.csv contradicts the other logs as a whole")
-    sound = learnable(Split((rigged[0], *rigged[2:]), (), ()), BY_LEVER, screen=False).split
+    sound = training_data(Split((rigged[0], *rigged[2:]), (), ()), BY_LEVER, screen=False).split
     quality = steady_state(BY_LEVER, Path(), sound.train)[1]
     assert bundle.record.steady_state.rms == quality.rms
 

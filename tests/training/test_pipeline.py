@@ -106,7 +106,7 @@ def test_the_libraries_run_one_thread_each_as_in_the_command(monkeypatch):
     def counted(*_args, **_more):
         raise DataError(str({one["num_threads"] for one in threadpool_info()}))
 
-    monkeypatch.setattr(pipeline, "learnable", counted)
+    monkeypatch.setattr(pipeline, "training_data", counted)
     with threadpool_limits(limits=2), pytest.raises(DataError, match=r"^\{1\}$"):
         calibrate(config(), Path(), split())
 

@@ -234,11 +234,11 @@ def further(
     while (found := _best(setting, layers, energy)) is not None:
         if found.odds <= 0.0 or len(layers) == MOST:
             break
-        layers = _anew(setting, [*layers, found], energy)
+        layers = _refit_each(setting, [*layers, found], energy)
     return layers, found
 
 
-def _anew(setting: Setting, layers: list[Layer], energy: float) -> list[Layer]:
+def _refit_each(setting: Setting, layers: list[Layer], energy: float) -> list[Layer]:
     """Each layer fitted again to what the others leave, by whichever effect is better now."""
     for k in range(len(layers)):
         found = _best(setting, [one for j, one in enumerate(layers) if j != k], energy)

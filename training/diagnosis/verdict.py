@@ -68,7 +68,7 @@ class Evidence:
         return self.frame.energy(self.frame.none)
 
 
-class Differences(NamedTuple):
+class NullModel(NamedTuple):
     """What flights and simulator differ by where no effect acts: learned, or assumed.
 
     `build` is how much of what engines of one type differ by is assumed: 0 for this very engine.
@@ -78,7 +78,7 @@ class Differences(NamedTuple):
     build: float = 1.0
 
 
-ASSUMED: Final = Differences()
+ASSUMED: Final = NullModel()
 
 
 class Engines(NamedTuple):
@@ -91,7 +91,7 @@ class Engines(NamedTuple):
 def weigh(
     record: Record,
     engines: Engines,
-    differences: Differences = ASSUMED,
+    differences: NullModel = ASSUMED,
     odds: Odds | None = None,
 ) -> Evidence:
     """Fit every effect by itself, with what builds and flights differ by, or what was learned."""

@@ -24,7 +24,7 @@ from training.screening.screen import files_of, screened
 from training.steady.steady_choice import Outlier
 
 
-def by_each_other(
+def cross_screen(
     logs: Sequence[Log], channels: Sequence[str], priors: Priors = PRIORS
 ) -> list[Log]:
     """Return prepared training logs with the findings that the other recordings show.
@@ -65,7 +65,7 @@ def _spans(log: Log) -> set[tuple[str, float | None]]:
 
 
 @dataclass(frozen=True, eq=False)
-class Learnable:
+class TrainingData:
     """What can be learned: `split` are parts of `train` and `validate`, whole logs with masks.
 
     `before` are those logs with nothing masked. `contradicting` logs are in no part of `split`.
@@ -111,7 +111,7 @@ def _counts(log: Log, recorded: Log) -> dict[str, int]:
     return {name: count for name, count in lost.items() if count}
 
 
-def learnable(split: Split, config: RunConfig, *, screen: bool = True) -> Learnable:
+def training_data(split: Split, config: RunConfig, *, screen: bool = True) -> TrainingData:
     """Mask what the logs of `split` show to be at fault, and leave out where inputs are lost.
 
     Without `screen` the logs have the findings of such a screening. Raises `DataError` where they
@@ -120,7 +120,7 @@ def learnable(split: Split, config: RunConfig, *, screen: bool = True) -> Learna
     outputs, inputs = config.narx.outputs, config.steady_state.inputs
     train, validate = list(split.train), list(split.validate)
     if screen:
-        train = by_each_other(train, (*outputs, *inputs))
+        train = cross_screen(train, (*outputs, *inputs))
         if validate:
             bank = learn([log.without_faults() for log in train], (*outputs, *inputs))
             validate = screened(bank, validate)
@@ -132,7 +132,7 @@ def learnable(split: Split, config: RunConfig, *, screen: bool = True) -> Learna
         found.append(_long_enough([part for log in kept for part in _parts(log, config)]))
     if not found[0]:
         raise _nothing_left(usable[0])
-    return Learnable(
+    return TrainingData(
         Split(found[0], found[1], split.test),
         usable[0],
         usable[1],

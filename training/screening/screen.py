@@ -57,7 +57,7 @@ def screened(bank: Bank | None, logs: Sequence[Log]) -> list[Log]:
     if bank is None:
         return list(logs)
     subjects = [_subject(bank, log, logs) for log in logs]
-    found = [() if one is None else _restored(one) for one in subjects]
+    found = [() if one is None else _wrong_unit_or_swap(one) for one in subjects]
     if not any(found):  # exchanged channels have other lags
         found = _stretched(bank, logs)
     found = [
@@ -155,7 +155,7 @@ def _without_air(log: Log, signals: Signals) -> Signals:
 
 def _examine(subject: _Subject) -> tuple[Finding, ...]:
     """What the bank shows of one prepared log with its own clock, units and order of channels."""
-    found = [*_seldom(subject), *_noisy(subject), *_late(subject)] if subject.whole else []
+    found = [*_slow_updates(subject), *_noisy(subject), *_late(subject)] if subject.whole else []
     # Of a channel with other dynamics all the log no stretch is at fault.
     whole = {each.channel for each in found if not each.local}
     suspects = [name for name in subject.sensed if name not in whole]
@@ -419,7 +419,7 @@ def _whole(log: Log, kind: Kind, name: str, text: str, size: tuple[float, str]) 
     return Finding(kind, name, size=size[0], unit=size[1], evidence=text, log=log.name)
 
 
-def _seldom(subject: _Subject) -> Iterator[Finding]:
+def _slow_updates(subject: _Subject) -> Iterator[Finding]:
     """Channels that change much more seldom than in the training logs."""
     for name in subject.sensed:
         every_s = subject.log.updates.get(name, 0.0)
@@ -519,7 +519,7 @@ class _Other:
 _FAULT = 0.2  # standard deviation of the share by which faults scale or shift a channel
 
 
-def _restored(subject: _Subject) -> tuple[Finding, ...]:
+def _wrong_unit_or_swap(subject: _Subject) -> tuple[Finding, ...]:
     """Another unit or an exchange that makes a log sound, and more so than an error of one channel.
 
     Where channels cannot be compared they may be beyond what training logs show. Air data are not

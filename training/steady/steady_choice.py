@@ -229,7 +229,7 @@ def _corrected(layout: Layout, blend: tuple[str, ...], taken: Sequence[_Taken]) 
     left = {}
     for corrected in (True, False):
         trial = replace(layout, blend=blend, corrected=corrected)
-        left[corrected] = float(np.exp(_left(trial, [(taken, taken)])[0]))
+        left[corrected] = float(np.exp(_held_out_log_rms(trial, [(taken, taken)])[0]))
     return replace(layout, corrected=not left[False] < _BETTER * left[True])
 
 
@@ -242,7 +242,7 @@ def _refined(
     """The layout with what does best on recordings not fitted to: corners, exponents, switches."""
     section = config.steady_state
     folds = _folds(layout, taken)
-    usual = _left(layout, folds)
+    usual = _held_out_log_rms(layout, folds)
     blends = offered[0] if section.blend == "auto" else [layout.blend]
     either = section.exponents == "auto" and layout.corrected
     exponents = [(), RATIOS] if either else [layout.exponents]
@@ -261,7 +261,7 @@ def _switched(layout: Layout, offered: tuple[str, ...], folds: _Folds, left: Flo
 
     One alone may not help where another that comes with it is unknown.
     """
-    alone = {name: _left(replace(layout, switches=(name,)), folds) for name in offered}
+    alone = {name: _held_out_log_rms(replace(layout, switches=(name,)), folds) for name in offered}
     known = {name: each[np.isfinite(each)] for name, each in alone.items()}
     helpful = [name for name in offered if len(known[name])]  # no fold where no curve can be fitted
     for name in sorted(helpful, key=lambda name: float(known[name].mean())):
@@ -276,7 +276,7 @@ def _better(
     """A layout and what it leaves: the trial, if it is clearly better, by the margin at least."""
     if trial == known[0]:
         return known
-    less = _left(trial, folds)
+    less = _held_out_log_rms(trial, folds)
     ratios = less - known[1]
     ratios = ratios[np.isfinite(ratios)]
     return (trial, less) if len(ratios) and surely_below(ratios, margin) else known
@@ -313,7 +313,7 @@ def _parted(one: _Taken, held: BoolArray) -> tuple[_Taken, _Taken]:
     return _Taken(kept, one.recording), _Taken(out, one.recording)
 
 
-def _left(layout: Layout, folds: _Folds) -> FloatArray:
+def _held_out_log_rms(layout: Layout, folds: _Folds) -> FloatArray:
     """Logarithm of the geometric mean over the outputs of the RMS left in each fold (folds,).
 
     NaN where too little is left to fit to, or to judge.
@@ -430,18 +430,18 @@ def outliers(
     # Channel units per unit of a corrected parameter.
     unit = np.nanmedian(data.layout_unit(layout), axis=0)
     scatter = [prior_scatter(*each) for each in zip(layout.output_names, levels, strict=True)]
-    spoilt = _spoilt(fits, np.array(scatter) / unit, len(names))
-    if not 0 < 2 * spoilt.sum() < len(names):
+    outlying = _outlier_logs(fits, np.array(scatter) / unit, len(names))
+    if not 0 < 2 * outlying.sum() < len(names):
         return []
-    kept = np.where(spoilt, 0.0, 1.0)
+    kept = np.where(outlying, 0.0, 1.0)
     errors = np.sqrt(np.stack([one.squares(kept)[1] for one in fits], axis=1)) * unit
     return [
         Outlier(names[k], dict(zip(layout.output_names, errors[k].tolist(), strict=True)))
-        for k in np.flatnonzero(spoilt).tolist()
+        for k in np.flatnonzero(outlying).tolist()
     ]
 
 
-def _spoilt(fits: Sequence[_Fits], scatter: FloatArray, count: int) -> BoolArray:
+def _outlier_logs(fits: Sequence[_Fits], scatter: FloatArray, count: int) -> BoolArray:
     """Whether each log (count,) is surely none of the type."""
     weights, probability = np.ones(count), np.zeros(count)
     for mixed in (False, True):  # from weights alike, the mixture takes all for sound

@@ -281,7 +281,7 @@ def test_unfit_inputs_are_refused(inputs, start, message):
 
 def test_inputs_saturate_at_the_reach_and_nowhere_else():
     free = calibration()
-    bounded = free.reaching([-10.0, 0.0], [90.0, 1.0])
+    bounded = free.with_input_limits([-10.0, 0.0], [90.0, 1.0])
     inside = log()
     np.testing.assert_array_equal(bounded.simulate(inside), free.simulate(inside))
     beyond = log()
@@ -293,7 +293,7 @@ def test_inputs_saturate_at_the_reach_and_nowhere_else():
 
 
 def test_the_reach_is_stored_and_checked():
-    bounded = calibration().reaching([-10.0, 0.0], [90.0, 1.0])
+    bounded = calibration().with_input_limits([-10.0, 0.0], [90.0, 1.0])
     meta, arrays = bounded.to_arrays()
     again = calibration_from_arrays(meta, arrays)
     np.testing.assert_array_equal(again.reach.low, [-10.0, 0.0])

@@ -60,7 +60,7 @@ def network(lag, settle_s, feedback=0.3, seed=0, *, anchored=True):
     scalings = (Scaling(np.zeros(n), np.full(n, 50.0)) for n in (width, 3))
     narx = NarxModel(weights, *scalings)
     model = DynamicCalibration(steady(), narx, DT_S, (), settle_s).with_lag(lag)
-    return model.reaching([-10.0, 0.0, 0.0], [90.0, 42e3, 0.9])
+    return model.with_input_limits([-10.0, 0.0, 0.0], [90.0, 42e3, 0.9])
 
 
 def engine():

@@ -10,7 +10,7 @@ from training.diagnosis.budget import Phases
 from training.diagnosis.layers import FEATURES, OF_CASE, Odds, prior
 from training.diagnosis.metric import Record
 from training.diagnosis.nuisances import BUILD, OFFSET, SMALL, nuisances
-from training.diagnosis.verdict import Differences, Engines, concluded, weigh
+from training.diagnosis.verdict import Engines, NullModel, concluded, weigh
 
 SHIFT = np.array([0.0, 0.15, 6.0])  # of N2 in %, of EGT in K
 
@@ -25,7 +25,7 @@ class NoEmulator:
 
 def answer(record, build=1.0, odds=None):
     phases = Phases(("steady",), np.zeros(record.unit.shape, dtype=int))
-    return concluded(weigh(record, Engines(NoEmulator()), Differences(build=build), odds), phases)
+    return concluded(weigh(record, Engines(NoEmulator()), NullModel(build=build), odds), phases)
 
 
 def test_a_shift_that_builds_differ_by_is_none_and_an_effect_of_this_very_engine(flights):
