@@ -174,7 +174,7 @@ class Log:
     measurements of a channel slower than the grid; faster channels are not in it.
     `declared` are channels of the configuration, beyond the table of `narxcal.channels`.
     `findings` are those of `data_prep.cleaning.plausibility` and `training.screening.screen`,
-    `updates` (channel -> s) how often a channel changes.
+    `updates` (channel -> s) how often a channel changes, `rounding` the steps of its values.
     """
 
     name: str
@@ -186,6 +186,7 @@ class Log:
     interpolated: Mapping[str, BoolArray] = field(default_factory=dict)
     findings: tuple[Finding, ...] = ()
     updates: Mapping[str, float] = field(default_factory=dict)
+    rounding: Mapping[str, float] = field(default_factory=dict)
     declared: Mapping[str, Channel] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -29,6 +29,7 @@ from narxcal.channels import CHANNELS, SPOOLS, Channel, described
 from narxcal.support.arrays import BoolArray, FloatArray, robust_range, spans
 
 _QUANTISED, _ONE_SIZE = 0.6, 0.02  # share of the changes that are of one size, to this part of it
+_GAPS, _NEAR, _ON_GRID = 8, 0.05, 0.9
 _MANY = 0.2  # share of the samples outside of the physical range: no single errors, another unit
 _FEW = 0.01  # likewise, of single errors in the right unit
 _FRACTION = 1.6  # a spool speed below this all along is a ratio, not percent
@@ -75,13 +76,13 @@ def conversions(channel: str) -> tuple[tuple[str, float, float], ...]:
 
 
 def checked(log: Log) -> Log:
-    """Return the log with its `findings` and `updates`; its values are unchanged."""
+    """Return the log with its `findings`, `updates`, `rounding`; its values are unchanged."""
     if len(log) < 3:
         return log
-    updates = {
-        name: update_interval(log.measured([name])[:, 0]) * log.dt_s for name in log.channels
-    }
-    log = replace(log, updates=updates)
+    measured = {name: log.measured([name])[:, 0] for name in log.channels}
+    updates = {name: update_interval(each) * log.dt_s for name, each in measured.items()}
+    rounding = {name: rounding_step(each) for name, each in measured.items()}
+    log = replace(log, updates=updates, rounding=rounding)
     found = [*_units(log), *_stuck_air(log)]
     known = {each.channel for each in found}
     rest = {name: values for name, values in log.channels.items() if name not in known}
@@ -128,6 +129,20 @@ def update_interval(values: FloatArray) -> float:
     order = np.argsort(gap)
     middle = np.searchsorted(np.cumsum(size[order]), 0.5 * np.sum(size))
     return float(gap[order][min(int(middle), len(gap) - 1)])
+
+
+def rounding_step(values: FloatArray) -> float:
+    """Step of the grid that repeated values lie on; 0 of a channel whose values lie on none.
+
+    Of gaps between values that lie on none a tenth is so near to a multiple of the smallest.
+    """
+    repeated = np.unique(values[:-1][values[:-1] == values[1:]])
+    gaps = np.diff(repeated)
+    if len(gaps) < _GAPS:
+        return 0.0
+    step = float(np.quantile(gaps, 0.1))
+    near = np.abs(gaps / step - np.round(gaps / step)) < _NEAR
+    return step if np.mean(near) > _ON_GRID else 0.0
 
 
 def _units(log: Log) -> Iterator[Finding]:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from data_prep.cleaning.plausibility import checked, unchecked_air, update_interval
+from data_prep.cleaning.plausibility import checked, rounding_step, unchecked_air, update_interval
 from data_prep.log import Finding, Log
 from data_prep.prepare import prepare
 from narxcal.atmosphere import KELVIN, SOUND_KT, T0_K, isa, mach_of_cas
@@ -69,6 +69,20 @@ def test_units_outside_of_the_physical_range_are_named(channel, factor, text):
 
 def test_coarse_steps_of_a_slow_channel_are_its_resolution():
     assert found(flight(SAT_C=lambda x: np.round(2.0 * x) / 2.0)) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "step"),
+    [
+        (lambda x: 0.5 * np.round(2.0 * x), 0.5),
+        (lambda x: 1.8 * np.round(x) + 32.0, 1.8),
+        (lambda x: x, 0.0),
+        (lambda x: np.repeat(x[::10], 10), 0.0),  # held, at values of no grid
+    ],
+)
+def test_the_steps_of_a_rounded_channel_are_known(change, step):
+    n1 = flight()["N1_pct"]
+    assert rounding_step(change(n1)) == pytest.approx(step)
 
 
 @pytest.mark.parametrize("channel", ["ALT_ft", "CAS_kt", "Mach", "SAT_C"])

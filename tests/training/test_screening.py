@@ -113,6 +113,7 @@ NOISE = DRAW.standard_normal(ROWS)
         ("N2_pct", "late", lambda x: np.r_[np.full(10, x[0]), x[:-10]]),
         ("N1_pct", "held", lambda x: x[np.arange(ROWS) // 25 * 25]),
         ("EGT_C", "noise", lambda x: x + 40.0 * NOISE),
+        ("EGT_C", "noise", lambda x: 10.0 * np.round(0.1 * x)),
     ],
 )
 def test_what_the_whole_log_disagrees_in_is_named_and_not_masked(bank, channel, kind, change):

@@ -148,6 +148,7 @@ class Bank:
     | `delays`, `late` | mean delay in s, target -> source; how much later logs were |
     | `noise` | of each channel in the noisiest minute of each log |
     | `updates` | largest update interval of each channel in s |
+    | `rounding` | coarsest steps of the values of each channel |
     | `logs` | number of recordings of one engine |
     | `used` | the channels that the model uses |
     | `priors` | what sound logs show in general; not stored, it is that of the version |
@@ -168,6 +169,7 @@ class Bank:
     late: Mapping[str, Sequence[float]] = field(default_factory=dict)
     noise: Mapping[str, Sequence[float]] = field(default_factory=dict)
     updates: Mapping[str, float] = field(default_factory=dict)
+    rounding: Mapping[str, float] = field(default_factory=dict)
     logs: int = 0
     used: tuple[str, ...] = ()
     priors: Priors = PRIORS

@@ -7,7 +7,7 @@ Loan 2013, section 6.5).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -132,7 +132,8 @@ class Pool:
                 name: [float(noise_of(log, name).max()) for log in logs if log.recorded([name])]
                 for name in names
             },
-            updates=_longest_updates(logs),
+            updates=_largest(logs, lambda log: log.updates),
+            rounding=_largest(logs, lambda log: log.rounding),
             logs=len(whole),
             used=tuple(name for name in names if name in channels),
         )
@@ -333,9 +334,10 @@ def _mean_and_scatter(values: Sequence[float]) -> tuple[float, float]:
     return mean, float(np.sqrt(square / (PRIOR_LOGS + len(known) - 1)))
 
 
-def _longest_updates(logs: Sequence[Log]) -> dict[str, float]:
-    names = {name for log in logs for name in log.recorded(tuple(log.updates))}
+def _largest(logs: Sequence[Log], of: Callable[[Log], Mapping[str, float]]) -> dict[str, float]:
+    """Of each channel over the logs that record it."""
+    names = {name for log in logs for name in log.recorded(tuple(of(log)))}
     return {
-        name: max(log.updates.get(name, 0.0) for log in logs if log.recorded([name]))
+        name: max(of(log).get(name, 0.0) for log in logs if log.recorded([name]))
         for name in sorted(names)
     }

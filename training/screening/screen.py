@@ -412,6 +412,7 @@ def _moving_spread(values: FloatArray, size: int) -> FloatArray:
 # ---------------------------------------------------------------- the whole log
 
 _SELDOM, _LEAST_UPDATE_S = 3.0, 0.5
+_TENTH = 0.1 * 0.05  # of the largest value: Ti is read at a tenth of responses of 5 % and more
 
 
 def _whole(log: Log, kind: Kind, name: str, text: str, size: tuple[float, str]) -> Finding:
@@ -429,10 +430,25 @@ def _slow_updates(subject: _Subject) -> Iterator[Finding]:
             yield _whole(subject.log, "held", name, text, (every_s, "s"))
 
 
+def _coarse(subject: _Subject, name: str) -> Finding | None:
+    """Coarser steps than those of the training logs, by which no Ti can be read."""
+    step, usual = (each.rounding.get(name, 0.0) for each in (subject.log, subject.bank))
+    tenth = _TENTH * float(np.nanmax(np.abs(subject.log[name]), initial=0.0))
+    if not step > max(tenth, _SELDOM * usual):
+        return None
+    unit = CHANNELS[name].unit
+    text = f"moves in steps of {step:.3g} {unit}, of {usual:.3g} in the training logs; Ti of a "
+    text += f"small response is read at {tenth:.2g}"
+    return _whole(subject.log, "noise", name, text, (step, unit))
+
+
 def _noisy(subject: _Subject) -> Iterator[Finding]:
-    """Minutes of channels with more noise than sound logs have, and more than their scatter."""
+    """Coarse channels; minutes of others with more noise than sound logs, and their scatter."""
     limits, time_s = subject.bank.noise_limits(subject.share), subject.log.time_s
     for name in subject.sensed:
+        if coarse := _coarse(subject, name):
+            yield coarse
+            continue
         matters = 0.5 * subject.bank.usual[name] * abs(subject.bank.centre[name])
         own, limit = noise_of(subject.log, name), max(limits.get(name, np.inf), matters)
         for start, stop in spans(own > limit):
