@@ -46,7 +46,7 @@ _INERTIAL = frozenset({"N1_pct", "N2_pct", "EGT_C"})
 class FaultsConfig(Section):
     """Nested table `[clean.faults]`.
 
-    frozen_s: an output that repeats one value for longer may be frozen (see this module).
+    frozen_s: an output that repeats one value for longer may be frozen (see the module's text).
     excursion_s: longest dropout or plateau between two opposite jumps.
     burst_s, burst_count: so many spikes within this time mask the channel as spiking.
     """

@@ -29,6 +29,7 @@ from narxcal.channels import CHANNELS, SPOOLS, Channel, described
 from narxcal.support.arrays import BoolArray, FloatArray, robust_range, spans
 
 _QUANTISED, _ONE_SIZE = 0.6, 0.02  # share of the changes that are of one size, to this part of it
+# Eight gaps of no grid are all this near to multiples once in ten million channels: 0.1^7.
 _GAPS, _NEAR, _ON_GRID = 8, 0.05, 0.9
 _MANY = 0.2  # share of the samples outside of the physical range: no single errors, another unit
 _FEW = 0.01  # likewise, of single errors in the right unit

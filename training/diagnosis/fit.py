@@ -305,7 +305,7 @@ class Frame:
     def apart(self, one: Single, nodes: Sequence[Node]) -> float:
         """Distance of what an effect predicts from the nearest prediction of another one's nodes.
 
-        In standard deviations of what is left beside it, differences of build free: the likelier
+        In standard deviations of what is left without it, differences of build free: the likelier
         of two at a distance d is the right one with probability Phi(d / 2) (Anderson, *An
         Introduction to Multivariate Statistical Analysis*, section 6.4).
         """

@@ -54,7 +54,7 @@ def largest_left(frame: Frame, phases: Phases) -> str:
 
 
 def _throughout(record: Record, left: FloatArray, allowed: FloatArray) -> str:
-    """What is left without a place, by its root mean square beside that of noise and build."""
+    """What is left without a place, by its root mean square, and that of noise and build."""
     for c, name in enumerate(record.flights.signals.outputs):
         use = record.known[..., c]
         square = float(np.mean(left[..., c][use] ** 2)) - record.noise[c] ** 2

@@ -168,7 +168,7 @@ def _assumed(evidence: Evidence, left: str, *, claims: bool) -> _Answers:
     """Probabilities by the logit; layers on the likeliest effect.
 
     No layers without `claims`, or where none and unknown together are likelier than it and those
-    alike to it. Beside a simulator that is this very engine noise alone is left where nothing acts.
+    alike to it. Of this very engine only noise is left where nothing acts.
     """
     names, setting = [one.name for one in evidence.singles], evidence.setting
     chances = setting.odds.first(names, evidence.effects, evidence.case)
