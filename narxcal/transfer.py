@@ -144,7 +144,6 @@ class ResponseFromSteady:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Parameters at each node."""
         return ("tau",) if self.order == "first" else ("xi", "w")
 
     @property

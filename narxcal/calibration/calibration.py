@@ -160,7 +160,6 @@ class Calibration(ABC):
         return self.with_members(())
 
     def with_steady(self, steady: SteadyStateModel) -> Self:
-        """The calibration with another steady-state model of the same inputs and outputs."""
         return self._with(steady=steady)
 
     def with_input_limits(self, low: ArrayLike, high: ArrayLike) -> Self:
@@ -189,12 +188,10 @@ class Calibration(ABC):
 
     @property
     def input_names(self) -> tuple[str, ...]:
-        """Channels that `simulate` and `step` take, in this order."""
         return self.steady.input_names
 
     @property
     def output_names(self) -> tuple[str, ...]:
-        """Channels that they return, in this order."""
         return self.steady.output_names
 
     @property
@@ -425,12 +422,10 @@ class DynamicCalibration(Calibration):
 
     @property
     def words(self) -> str:
-        """Lags and hidden units of the network."""
         return f"NARX, lags {self.narx.config.lags}, hidden units {self.narx.config.hidden}"
 
     @property
     def size(self) -> int:
-        """Weights of the network, and what the lags have that is not zero."""
         lag = 0 if self.lag is None else np.count_nonzero(self.lag.theta)
         return int(self.narx.weights.theta.size + lag)
 
@@ -444,7 +439,6 @@ class DynamicCalibration(Calibration):
         return self._with(lag=lag)
 
     def with_decay(self, settle_s: float) -> Self:
-        """The calibration with a decay bound of this time constant; the network is anchored."""
         return self._with(settle_s=settle_s)
 
     def with_network_share(self, share: ArrayLike | None) -> Self:
@@ -487,20 +481,17 @@ class DynamicCalibration(Calibration):
         return found
 
     def bounds(self) -> tuple[FloatArray, FloatArray]:
-        """Guaranteed (low, high) of the deviation of each output, in the outputs' units."""
         low, high = self.narx.bounds
         if self.lag is None:
             return low, high
         return low - self.lag.limit, high + self.lag.limit
 
     def _decay(self) -> FloatArray:
-        """The pole of the network's decay bound."""
         if self.settle_s is None:
             return np.empty(0)
         return np.array([np.exp(-self.dt_s / self.settle_s)])
 
     def to_arrays(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        """Split into JSON-able structure and named arrays, for the bundle."""
         narx, narx_arrays = self.narx.to_arrays()
         steady, steady_arrays = steady_to_json(self.steady)
         arrays = {f"narx/{name}": value for name, value in narx_arrays.items()}
@@ -614,7 +605,6 @@ def narx_features(
 
 
 def steady_for_engine(steady: SteadyStateModel, engine: str) -> SteadyStateModel:
-    """The steady-state model of one engine, where it distinguishes engines."""
     chooser = getattr(steady, "for_engine", None)
     chosen: SteadyStateModel = steady if chooser is None else chooser(engine)
     return chosen

@@ -84,7 +84,6 @@ class Certificate:
 
     @property
     def words(self) -> str:
-        """One sentence."""
         if self.settled:
             return (
                 f"settles at constant inputs: {self.points} points held {self.hold_s:.0f} s, "

@@ -95,7 +95,6 @@ class NoDynamics(Dynamics):
     def run(
         self, state: FloatArray, drive: FloatArray, measured: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the steady states; a measurement changes nothing."""
         del measured
         return drive, state
 
@@ -130,7 +129,6 @@ class EngineDynamics(Dynamics):
 
     @property
     def words(self) -> str:
-        """Time constants at the reference speed."""
         shown = ", ".join(f"{name} {self.values[name]:.2f} s" for name in ("tau_H", "tau_L"))
         return f"output error, {shown}"
 
@@ -140,7 +138,6 @@ class EngineDynamics(Dynamics):
         return np.hstack([own, np.delete(ss, self.order, axis=1)])
 
     def equilibrium(self, drive: FloatArray) -> FloatArray:
-        """Steady N_H, N_L, T."""
         return drive[:3]
 
     def run(
@@ -303,7 +300,6 @@ class IdentifiedCalibration(Calibration):
         return started
 
     def _prediction(self, given: FloatArray, ss: FloatArray, known: FloatArray) -> FloatArray:
-        """One-step prediction from measured outputs `known`."""
         drive = self.dynamics.drive(self.steady, given, ss)
         found, _ = self.dynamics.run(self.dynamics.equilibrium(drive[0]), drive, known)
         unknown = np.ones(len(found), dtype=np.bool_)

@@ -89,7 +89,6 @@ class NoiseModel:
             raise ModelError("the bias decay and activity decay of a fuser must not exceed 1")
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain lists and numbers, for a bundle's JSON."""
         return {
             "dt_s": self.dt_s,
             **{key: getattr(self, name).tolist() for name, key in STORED.items()},

@@ -201,7 +201,6 @@ class Register:
 
     @property
     def share(self) -> FloatArray | float:
-        """Share (n_out,) of the network's deviation that counts."""
         return 1.0 if self.parts.share is None else self.parts.share
 
     def _lags(self, inputs: FloatArray, ss: FloatArray) -> FloatArray:

@@ -123,7 +123,6 @@ class MixtureChannel(_Part):
 
     @property
     def ordered(self) -> list[tuple[str, float]]:
-        """Models with their weights, the largest first."""
         return sorted(self.weights.items(), key=lambda pair: -pair[1])
 
 
@@ -214,7 +213,6 @@ class RunRecord(_Part):
 
     @property
     def interrupted(self) -> bool:
-        """Whether Ctrl-C ended the training."""
         return "interrupted" in self.training.status
 
     @property
@@ -232,5 +230,4 @@ class RunRecord(_Part):
         return self.mixture or MixtureRecord()
 
     def logs(self, role: str) -> tuple[str, ...]:
-        """Names of the logs of "train", "validate" or "test"."""
         return self.split.get(role, ())

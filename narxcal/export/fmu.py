@@ -174,7 +174,6 @@ def _units(root: Element, found: list[Variable]) -> None:
 
 
 def _value(variable: Variable) -> dict[str, str]:
-    """Attributes of unit and start, the same in both versions."""
     found = {"unit": variable.unit, "start": variable.start}
     if variable.channel == "dT_C":
         found["relativeQuantity"] = "true"  # a difference: the offset of degC does not apply

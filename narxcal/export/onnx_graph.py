@@ -91,12 +91,10 @@ class Number:
         return _PATHS[-1].decide(self)
 
     def column(self, k: int) -> Number:
-        """Column k of rows (batch, n)."""
         return self.to("Gather", self.graph.constant(k, np.int64), axis=1)
 
 
 def clip(x: Any, low: float, high: float) -> Any:
-    """`x` within the bounds."""
     if not isinstance(x, Number):
         return min(max(x, low), high)
     x = x.to("Max", low) if low > -math.inf else x

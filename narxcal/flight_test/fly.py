@@ -237,7 +237,6 @@ def build(scenario: FlightScenario, side: str) -> Health:
 
 
 def _in_order(names: Iterable[str]) -> list[str]:
-    """Put channel names in the order of the table of channels; other names are dropped."""
     given = set(names)
     return [name for name in CHANNELS if name in given]
 
@@ -256,7 +255,6 @@ class LeverMove(NamedTuple):
 
     @property
     def kind(self) -> str:
-        """`push` or `pull`."""
         return "push" if self.to_deg > self.from_deg else "pull"
 
     def row(self) -> dict[str, Any]:

@@ -106,7 +106,6 @@ class Sweep:
 
     @property
     def _mean_hz(self) -> float:
-        """Cycles per second over the whole sweep."""
         return (self.high_hz - self.low_hz) / math.log(self.high_hz / self.low_hz)
 
     @property
@@ -149,7 +148,6 @@ def hold(seconds: float) -> Corners:
 
 
 def travel(by_deg: float, rate_deg_s: float) -> Corners:
-    """Move the lever by `by_deg` (negative: back) at a constant rate."""
     return Corners(((0.0, 0.0), (abs(by_deg) / _rate(rate_deg_s), by_deg)))
 
 

@@ -372,7 +372,6 @@ def _test(programme: _Programme, leg: Leg) -> None:
 
 
 def _enrich(programme: _Programme, leg: Leg) -> None:
-    """Draw manoeuvres with pauses between them until the leg is full."""
     setting, random = _SETTINGS[leg.name], programme.random
     # A short leg has time for pushes and pulls alone, close together.
     leisure = min(1.0, (leg.stop_s - leg.start_s) / 200.0)
@@ -400,7 +399,6 @@ def _draw(
 
 
 def _returning(random: np.random.Generator, setting: _Setting, angle: float) -> Iterator[Manoeuvre]:
-    """List manoeuvres that return to their first angle."""
     up, down = max(setting.high - angle, 1.0), max(angle - setting.low, 1.0)
     small = min(up, down, random.uniform(2.0, 4.5))
     middle = min(up, down, random.uniform(4.0, 12.0))

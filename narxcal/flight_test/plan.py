@@ -210,7 +210,6 @@ def _draw_day(plan: FlightPlan, aircraft: Aircraft, random: np.random.Generator)
 def _channels(
     continuous: dict[str, FloatArray], switches: dict[str, NDArray[np.bool_]]
 ) -> dict[str, FloatArray]:
-    """Put the channels in canonical order, switches as 0 and 1."""
     every = continuous | {name: flags.astype(np.float64) for name, flags in switches.items()}
     return {name: every[name].copy() for name in CHANNEL_NAMES}
 

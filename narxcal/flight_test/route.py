@@ -150,7 +150,6 @@ def _altitudes(day: Day) -> dict[str, float]:
 
 
 def _natural_s(day: Day, aircraft: Aircraft, ends: dict[str, float]) -> dict[str, float]:
-    """Natural time of each leg in s, at least its minimum."""
     up, high = aircraft.climb_fpm, aircraft.climb_high_fpm
     rates = {"initial_climb": up, "climb": 0.85 * up, "climb_high": 0.5 * (up + high)}
     rates |= {"step_climb": 0.7 * high, "descent": 2300.0, "low_descent": 1500.0}

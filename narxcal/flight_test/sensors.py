@@ -292,7 +292,6 @@ class SensorConfig(Section):
 
     @property
     def probe_tau_s(self) -> float:
-        """Time constant of the total temperature probe in s."""
         if self.inputs == "exact":
             return 0.0
         return PROBE_TAU_S[self.preset] if self.tat_tau_s is None else self.tat_tau_s
@@ -464,7 +463,6 @@ class _Chain(NamedTuple):
 
 
 def _active(fault: SensorFault, time_s: FloatArray) -> FloatArray:
-    """1 where a fault acts, else 0."""
     spans = list(fault.windows_s or _WHOLE_LOG)
     return within(time_s, spans).astype(np.float64)
 

@@ -119,7 +119,6 @@ class LumpedEngine:
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
-        """Names (P,) of `theta`: output or part, and what it is of."""
         if not self.governed:
             return tuple(f"{output}: {name}" for output in self.output_names for name in LIMITED)
         core, *others = (self.output_names[k] for k in self.order)
@@ -132,7 +131,6 @@ class LumpedEngine:
 
     @property
     def speeds(self) -> BoolArray:
-        """Which outputs (n_out,) are spool speeds."""
         return speeds_of(self.output_names)
 
     @property
@@ -241,7 +239,6 @@ class LumpedEngine:
         return self.run(drive, (AT_START, first[None]), dt_s, measured)[0]
 
     def to_arrays(self) -> tuple[dict[str, Any], dict[str, FloatArray]]:
-        """Split into JSON-able structure and named arrays, for the bundle."""
         names = {"output_names": list(self.output_names)}
         own = {"form": _FORM} if self.governed else {"parameter_names": list(LIMITED)}
         return {**own, **names}, {**self.arrays, **{name: getattr(self, name) for name in _SCALES}}

@@ -512,7 +512,6 @@ def _governed_heat(
 
 @compiled(exact=False)
 def inner_steps(dt_s: float) -> int:
-    """How many inner steps a governed engine takes per sample."""
     return max(1, math.ceil(dt_s / _STEP_S - 1e-9))
 
 

@@ -68,11 +68,9 @@ class Ensemble:
 
     @property
     def output_scaling(self) -> Scaling:
-        """Scaling of the outputs, the same of all members."""
         return self.members[0].output_scaling
 
     def simulate(self, u: FloatArray, start: FloatArray) -> FloatArray:
-        """Free run (time, outputs) over `u` (time, inputs) from `start` (n, outputs)."""
         return self._joined([member.simulate(u, start) for member in self.members])
 
     def predict(self, u: FloatArray, y: FloatArray, steps: int = 1) -> FloatArray:

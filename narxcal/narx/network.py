@@ -44,7 +44,6 @@ class Weights:
         return cls(config, *(arrays[name] for name in _NAMES))
 
     def named(self) -> dict[str, FloatArray]:
-        """The arrays by their names in the PyTorch module."""
         arrays = (self.w1, self.b1, self.w2, self.b2, self.a, self.low, self.high)
         return dict(zip(_NAMES, arrays, strict=True))
 
@@ -269,7 +268,6 @@ class NarxModel:
 
     @property
     def weights(self) -> Weights:
-        """The network's arrays as they are now."""
         return self.network if isinstance(self.network, Weights) else self.network.weights()
 
     @property
@@ -330,7 +328,6 @@ class NarxModel:
         return result
 
     def to_arrays(self) -> tuple[dict[str, Any], dict[str, FloatArray]]:
-        """Split into JSON-able structure and named arrays, for the bundle."""
         meta = {
             "config": self.config.model_dump(mode="json"),
             "inputs": self.inputs,

@@ -54,7 +54,6 @@ class LinearSystem:
 
     @staticmethod
     def gain(D: ArrayLike) -> LinearSystem:
-        """Make the static system y = D u."""
         d = np.atleast_2d(np.asarray(D))
         outputs, inputs = d.shape
         return LinearSystem(np.zeros((0, 0)), np.zeros((0, inputs)), np.zeros((outputs, 0)), d)
@@ -217,7 +216,6 @@ class Rotors:
     alpha: complex
 
     def system(self) -> LinearSystem:
-        """Give the linear system with states and outputs (N_H, N_L)."""
         A = [
             [-1.0 / self.tau_H, 0.0],
             [self.C_HL * (1.0 - self.alpha) / self.tau_L, -1.0 / self.tau_L],

@@ -101,7 +101,6 @@ class FinalEstimate:
     reading: str = ""
 
     def side(self, side: Side) -> tuple[float, float]:
-        """Estimate and standard deviation of one engine."""
         return (self.left, self.left_sd) if side == "left" else (self.right, self.right_sd)
 
     @property

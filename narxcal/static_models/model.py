@@ -84,12 +84,10 @@ class StaticModel:
 
     @property
     def starts(self) -> FloatArray:
-        """Start values (P,)."""
         return np.array([parameter.start for parameter in self.parameters])
 
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray]:
-        """Low and high (P,)."""
         low = np.array([parameter.low for parameter in self.parameters])
         return low, np.array([parameter.high for parameter in self.parameters])
 
@@ -208,7 +206,6 @@ def unpack(parameters: FloatArray) -> FloatArray:
 
 
 def ambient(columns: Columns) -> AirState:
-    """Air ahead of the engine."""
     return air_state(columns["ALT_ft"], columns["Mach"], columns["dT_C"])
 
 

@@ -145,7 +145,6 @@ class SteadyCallable(BoxModel):
         return found
 
     def to_arrays(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        """Return reference, hash of the module's file, names and envelope."""
         if self.reference is None or self.file is None:
             raise ModelError(
                 "a steady-state function without a module cannot be stored in a bundle",

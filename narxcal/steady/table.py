@@ -208,7 +208,6 @@ class SteadyTable:
         return result.reshape(array.shape[:-1])
 
     def to_arrays(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        """Names and method; `points` and `values`."""
         meta = {
             "input_names": list(self.input_names),
             "output_names": list(self.output_names),

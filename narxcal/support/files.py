@@ -296,7 +296,6 @@ class Results:
 
     @contextmanager
     def writing(self, folder: Path) -> Iterator[Path]:
-        """Yield a temporary folder that takes the place of `folder` when the block ends well."""
         with atomic_folder(folder, self) as part:
             yield part
 
@@ -307,7 +306,6 @@ class Results:
             (folder / name).write_text(page, encoding="utf-8")
 
     def save(self, folder: Path, document: Mapping[str, Any], *pages: str) -> None:
-        """Put a folder of the document and the pages in the place of `folder`."""
         with self.writing(folder) as part:
             self.write(part, document, *pages)
 

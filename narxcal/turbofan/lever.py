@@ -83,7 +83,6 @@ def _rate_limited(angle: FloatArray, largest: float) -> FloatArray:
 
 
 def _delayed(angle: FloatArray, steps: float) -> FloatArray:
-    """Delay by `steps` samples, which need not be whole, with linear interpolation."""
     index = np.arange(len(angle), dtype=np.float64)
     return np.interp(index - steps, index, angle)
 
