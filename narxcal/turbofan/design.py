@@ -19,8 +19,6 @@ which follow from the eigenvalues of the engine linearised at constant fuel.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
-
 import numpy as np
 from scipy.optimize import brentq
 
@@ -343,7 +341,7 @@ def control(
     N1c, N2c = n1 * preset.speed_pct[0], unknowns[:, POSITIONS] * preset.speed_pct[1]
     ratio = fuel / stations[:, Stations._fields.index("P3")]
     pairs = zip(conditions, unknowns, strict=True)
-    lags = np.array([linearised(machine, body, condition, x).lags_s for condition, x in pairs])
+    lags = np.array([rotor_lags_s(machine, body, condition, x) for condition, x in pairs])
     gain, reset, lead = governor(N1c, fuel, (lags[:, 0], lags[:, 1], preset.governor_lag_s))
     accel, decel = _limits(preset, N2c, ratio, margin)
     slopes = _topping_gains(fuel, N2c, stations)
@@ -355,10 +353,9 @@ def control(
         schedule_N2c_pct=N2c,
         accel_ratio=accel,
         decel_ratio=decel,
-        topping_limit=np.array([*preset.limits, np.inf]),
+        topping_limit=np.array(preset.limits),
         topping_gain=slopes,
-        topping_reset_s=np.full(3, float(lags[-1, 0])),
-        fuel_min_kgps=0.0,
+        topping_reset_s=np.full(2, float(lags[-1, 0])),
         lean_ratio=0.45 * float(ratio.min()),
     )
 
@@ -378,52 +375,40 @@ def _limits(
 
 
 def _topping_gains(fuel: FloatArray, N2c: FloatArray, stations: FloatArray) -> FloatArray:
-    """Fuel per unit of N2 (%), T45 (K) and Ps3 (Pa) along the top of the line."""
+    """Fuel per unit of N2 (%) and T45 (K) along the top of the line."""
     T45 = stations[:, Stations._fields.index("T45")]
-    P3 = stations[:, Stations._fields.index("P3")]
-    top = [float(x[-1] - x[-4]) for x in (N2c, T45, P3)]
+    top = [float(x[-1] - x[-4]) for x in (N2c, T45)]
     return _TOPPING_SHARE * 4.0 * float(fuel[-1] - fuel[-4]) / np.array(top)
 
 
-class Linear(NamedTuple):
-    """The engine about a steady point, for small changes of fuel.
+def rotor_lags_s(
+    machine: Machine, body: Body, condition: FloatArray, x: FloatArray
+) -> tuple[float, float]:
+    """Time constants of the rotors, slow and fast, about a steady point at constant fuel.
 
-    `lags_s`: time constants of the rotors, slow and fast. `overshoot`: the response of T45 at
-    constant rotor speeds over its final response.
-    """
-
-    lags_s: tuple[float, float]
-    overshoot: float
-
-
-def linearised(machine: Machine, body: Body, condition: FloatArray, x: FloatArray) -> Linear:
-    """Linearise by central differences of both rotors' rates and T45, by speeds and fuel.
-
-    With `dn/dt = A n + b w` and `T = c n + d w` the final response to fuel is `d - c A^-1 b`.
+    By central differences of both rotors' rates by their speeds.
     """
     inertia = np.array([body.inertia1_J, body.inertia2_J])
 
-    def changes(at: FloatArray) -> FloatArray:
-        powers = _powers(machine, condition, x[:POSITIONS], at)
-        return np.array([*(powers[:2] / (inertia * at[:2])), powers[2]])
+    def rates(speeds: FloatArray) -> FloatArray:
+        at = np.array([*speeds, x[-1]])
+        return _powers(machine, condition, x[:POSITIONS], at) / (inertia * speeds)
 
-    at, step = np.array([condition[N1], *x[POSITIONS:]]), 1e-4
-    columns = [(changes(at + step * e) - changes(at - step * e)) / (2 * step) for e in np.eye(3)]
-    slopes = np.column_stack(columns)
-    values = np.linalg.eigvals(slopes[:2, :2])
+    at, step = np.array([condition[N1], x[POSITIONS]]), 1e-4
+    slopes = [(rates(at + step * e) - rates(at - step * e)) / (2 * step) for e in np.eye(2)]
+    values = np.linalg.eigvals(np.column_stack(slopes))
     fast, slow = sorted(float(-1.0 / value.real) for value in values)
-    final = slopes[2, 2] - slopes[2, :2] @ np.linalg.solve(slopes[:2, :2], slopes[:2, 2])
-    return Linear((slow, fast), float(slopes[2, 2] / final))
+    return slow, fast
 
 
 @compiled
 def _powers(
     machine: Machine, condition: FloatArray, positions: FloatArray, at: FloatArray
 ) -> FloatArray:
-    """Surplus powers of both rotors in W and T45 in K at speeds and fuel `at`, relative."""
+    """Surplus powers of both rotors in W at speeds and fuel `at`, relative."""
     air = inlet_air(machine, condition)
     fuel = machine.fuel_unit_kgps * at[2]
     run = Running(at[0], at[1], fuel, condition[BLEED], condition[OFFTAKE_W], 0.0, 0.0)
     engine = (machine.path, machine.health)
     stations, _ = solve(engine, air, run, positions.copy(), np.zeros((POSITIONS, POSITIONS)))
-    return np.array([stations.power1_W, stations.power2_W, stations.T45])
+    return np.array([stations.power1_W, stations.power2_W])

@@ -19,7 +19,7 @@ from narxcal.steady.model import BoxModel, Envelope, checked_inputs
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ModelError
 from narxcal.turbofan.cycle import POSITIONS, Health, Stations
-from narxcal.turbofan.design import Closed, Linear, Preset, close, control, linearised, preset
+from narxcal.turbofan.design import Closed, Preset, close, control, preset
 from narxcal.turbofan.fadec import FuelValveParameters, Sensed, steady_control, steady_valve
 from narxcal.turbofan.gas import fan_face
 from narxcal.turbofan.lever import LeverParameters, n1_command, resolver
@@ -136,12 +136,6 @@ class VirtualEngine(BoxModel):
         found = dict(zip(Stations._fields, rows.T, strict=True))
         found |= {"fuel_kgps": fuel, "n1": conditions[:, N1], "n2": unknowns[:, POSITIONS]}
         return found | {f"{part}_angle": unknowns[:, j] for j, part in enumerate(COMPRESSORS)}
-
-    def linearised(self, inputs: ArrayLike) -> list[Linear]:
-        """Time constants of the rotors and overshoot of EGT at each row of `inputs` (n, 9)."""
-        conditions, unknowns, _ = self._steady_points(checked_inputs(inputs, self.input_names))
-        pairs = zip(conditions, unknowns, strict=True)
-        return [linearised(self._machine, self.settings.body, c, x) for c, x in pairs]
 
     def simulate(self, inputs: Mapping[str, FloatArray], dt_s: float) -> dict[str, FloatArray]:
         """Simulate a log sampled every `dt_s` seconds, from the steady state of its first sample.
