@@ -138,8 +138,8 @@ TAU_ENGINE: Final = FinalEstimate("tau_engine", 0.65, 0.05, 0.89, 0.05, "engine 
 
 
 def table_4(side: Side) -> dict[str, float]:
-    """Parameters of one engine by Table 4, with C_FB = C_FH."""
-    values = {row.name: row.side(side)[0] for row in TABLE_4}
+    """Parameters of one engine by Table 4, with C_FB = C_FH; the model is linear, without mu."""
+    values = {row.name: row.side(side)[0] for row in TABLE_4 if row.name != "mu"}
     return {**values, "C_FB": values["C_FH"]}
 
 

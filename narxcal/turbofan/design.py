@@ -19,6 +19,7 @@ which follow from the eigenvalues of the engine linearised at constant fuel.
 from __future__ import annotations
 
 from dataclasses import dataclass
+
 import numpy as np
 from scipy.optimize import brentq
 

@@ -50,7 +50,8 @@ class FadecParameters(NamedTuple):
     """Tables and limits; all gains and times are those at sea level standard.
 
     `governor_gain` in kg/s per %, `governor_reset_s` and `governor_lead_s` over sensed corrected
-    `governor_N1c_pct`: see `governor`. `accel_ratio`, `decel_ratio`: limits of `Wf / (Ps3 sqrt(theta2))` in kg/(s Pa) over
+    `governor_N1c_pct`: see `governor`.
+    `accel_ratio`, `decel_ratio`: limits of `Wf / (Ps3 sqrt(theta2))` in kg/(s Pa) over
     `schedule_N2c_pct`; the effect `accel_limit` scales the margin of the former.
     `topping_limit`, `topping_gain`, `topping_reset_s` (2,): physical limits of N2 (%) and T45 (K),
     infinite for none, with gains in kg/s per corrected unit. A reset time equal to the slow spool's
