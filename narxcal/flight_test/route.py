@@ -55,12 +55,10 @@ AIRCRAFT = {
 }
 
 
-def check_between(name: str, value: float, low: float, high: float, hint: str = "") -> None:
+def check_between(name: str, value: float, low: float, high: float) -> None:
     """Raise `ConfigError` unless `low <= value <= high`; NaN is refused."""
     if not low <= value <= high:
-        raise ConfigError(
-            f"{name} has to lie in {low:g} .. {high:g}, got {value:g}", hint=hint or None
-        )
+        raise ConfigError(f"{name} has to lie in {low:g} .. {high:g}, got {value:g}")
 
 
 # Minimum time of each leg in s, whose sum is the shortest flight, and airspeed at its end in kt.
