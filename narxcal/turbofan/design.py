@@ -18,9 +18,12 @@ which follow from the eigenvalues of the engine linearised at constant fuel.
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import dataclass
+from importlib.resources import files
 
 import numpy as np
+from pydantic import TypeAdapter
 from scipy.optimize import brentq
 
 from narxcal.atmosphere import P0_PA, T0_K
@@ -38,7 +41,7 @@ from narxcal.turbofan.gas import (
     isentropic_temperature,
     temperature_at_enthalpy,
 )
-from narxcal.turbofan.lever import BUSINESS_JET, SINGLE_AISLE, Ratings
+from narxcal.turbofan.lever import Ratings
 from narxcal.turbofan.maps import BACKBONE, CompressorMap, TurbineMap
 from narxcal.turbofan.solve import (
     BLEED,
@@ -198,16 +201,6 @@ def _area(flow: float, temperature: float, far: float, pressure: float) -> float
     return float(flow * temperature**0.5 / pressure / per_area)
 
 
-def _chart(flow_exponent: float, pressure_exponent: float, **shape: float) -> CompressorMap:
-    """Shape of a compressor map; `close` fills in its sizes."""
-    return CompressorMap(0.0, 0.0, 0.0, flow_exponent, pressure_exponent, **shape)
-
-
-def _preset_turbine(**shape: float) -> TurbineMap:
-    """Shape of a turbine map; `close` fills in its sizes."""
-    return TurbineMap(0.0, 0.0, 0.0, 0.0, **shape)
-
-
 @dataclass(frozen=True, kw_only=True)
 class Preset:
     """All numbers of one engine; `bleed` are shares of the HPC flow, `inertia` in kg m^2.
@@ -241,78 +234,11 @@ class Preset:
     governor_lag_s: float = 0.22  # valve, lines, burner, sensor and step together
 
 
-BUSINESS = Preset(
-    name="business_jet",
-    title="Business-jet turbofan of 11 kN, bypass ratio 2.7",
-    point=DesignPoint(
-        flow_kgps=37.85,
-        bypass_ratio=2.68,
-        fan_pressure_ratio=1.62,
-        lpc_pressure_ratio=2.10,
-        hpc_pressure_ratio=4.84,
-        T4_K=1268.0,
-        fan_efficiency=0.827,
-        lpc_efficiency=0.82,
-        hpc_efficiency=0.798,
-        hpt_efficiency=0.878,
-        lpt_efficiency=0.84,
-    ),
-    shape=GasPath(
-        fan=_chart(1.26, 2.06, best_speed=0.99, speed_loss=0.59, width=0.15, widening=0.5),
-        lpc=_chart(1.025, 1.80, best_speed=0.99, speed_loss=0.49, width=0.15, widening=0.5),
-        hpc=_chart(1.50, 2.25, best_speed=0.84, speed_loss=0.0, width=0.068, angle_loss=0.31),
-        hpt=_preset_turbine(choking=2.03, speed_loss=0.11),
-        lpt=_preset_turbine(choking=3.72, speed_loss=0.11),
-        handling_bleed=0.07,
-        handling_shut=0.71,
-    ),
-    ratings=BUSINESS_JET,
-    speed_pct=(94.0, 95.0),
-    speed_radps=(1580.0, 3260.0),
-    inertia=(1.35, 0.105),
-    accel_margins=(0.68, 0.27),
-    decel_margins=(0.18, 0.60),
-    clearance_pK=8e-5,
-    limits=(102.0, 1130.0),
-)
-AIRLINER = Preset(
-    name="single_aisle",
-    title="Single-aisle turbofan of 120 kN, bypass ratio 5.7",
-    point=DesignPoint(
-        flow_kgps=380.7,
-        bypass_ratio=5.7,
-        fan_pressure_ratio=1.72,
-        lpc_pressure_ratio=2.514,
-        hpc_pressure_ratio=10.88,
-        T4_K=1560.0,
-        fan_efficiency=0.92,
-        lpc_efficiency=0.88,
-        hpc_efficiency=0.88,
-        hpt_efficiency=0.91,
-        lpt_efficiency=0.92,
-    ),
-    shape=GasPath(
-        fan=_chart(1.0, 1.80, best_speed=1.0, speed_loss=0.123, width=0.15, widening=0.5),
-        lpc=_chart(1.10, 1.70, best_speed=0.955, speed_loss=0.577, width=0.15, widening=0.5),
-        hpc=_chart(2.82, 3.29, best_speed=0.97, speed_loss=0.0, width=0.05, angle_loss=0.40),
-        hpt=_preset_turbine(choking=2.0, speed_loss=0.765),
-        lpt=_preset_turbine(choking=1.574, speed_loss=0.433),
-        handling_bleed=0.238,
-        handling_shut=1.0,
-        vane_cooling=0.07,
-        rotor_cooling=0.05,
-    ),
-    ratings=SINGLE_AISLE,
-    speed_pct=(91.0, 96.0),
-    speed_radps=(476.0, 1454.0),
-    inertia=(60.0, 14.0),
-    offtake_W=70e3,
-    accel_margins=(1.30, 0.38),
-    decel_margins=(0.13, 0.55),
-    clearance_pK=5e-5,
-    limits=(105.0, 1340.0),
-)
-PRESETS = {preset.name: preset for preset in (BUSINESS, AIRLINER)}
+_TABLES = tomllib.loads(files(__package__).joinpath("engines.toml").read_text("utf-8"))
+PRESETS = {
+    name: TypeAdapter(Preset).validate_python({"name": name, **table})
+    for name, table in _TABLES.items()
+}
 
 
 def preset(name: str) -> Preset:
