@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from eval.report import plot
     from eval.results import evaluate, prepare, read, train
     from narxcal.calibration.bundle import Bundle, load_bundle, save_bundle
-    from narxcal.calibration.calibration import Calibration, DynamicCalibration
+    from narxcal.calibration.calibration import Calibration
+    from narxcal.calibration.dynamic import DynamicCalibration
     from narxcal.calibration.fuser import KalmanFuser
     from narxcal.calibration.noise import NoiseModel
     from narxcal.narx.config import NarxConfig
@@ -50,7 +51,7 @@ _MODULE_OF = {
     "Calibration": "narxcal.calibration.calibration",
     "ConfigError": "narxcal.support.errors",
     "DataError": "narxcal.support.errors",
-    "DynamicCalibration": "narxcal.calibration.calibration",
+    "DynamicCalibration": "narxcal.calibration.dynamic",
     "KalmanFuser": "narxcal.calibration.fuser",
     "ModelError": "narxcal.support.errors",
     "NarxConfig": "narxcal.narx.config",

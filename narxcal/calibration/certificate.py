@@ -28,7 +28,8 @@ from typing import Annotated, Any, Final
 import numpy as np
 from pydantic import BeforeValidator
 
-from narxcal.calibration.calibration import Calibration, DynamicCalibration
+from narxcal.calibration.calibration import Calibration
+from narxcal.calibration.dynamic import DynamicCalibration
 from narxcal.calibration.members import Member
 from narxcal.channels import CHANNELS
 from narxcal.steady.model import ALTERED, Envelope, envelope_of

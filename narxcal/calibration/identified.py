@@ -27,8 +27,9 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from narxcal.calibration.calibration import Calibration, DynamicCalibration, Running
+from narxcal.calibration.calibration import Calibration, Running
 from narxcal.calibration.delay import TransportDelay
+from narxcal.calibration.dynamic import DynamicCalibration
 from narxcal.intervals import HalfWidths
 from narxcal.output_error.engine import STEADY_OUTPUTS, EngineFromSteady, steady_drive
 from narxcal.steady.model import ALTERED, SteadyStateModel

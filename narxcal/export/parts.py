@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from narxcal.atmosphere import SIMILARITY, air_columns, similarity
-from narxcal.calibration.calibration import Calibration, DynamicCalibration
+from narxcal.calibration.calibration import Calibration
+from narxcal.calibration.dynamic import DynamicCalibration
 from narxcal.calibration.identified import (
     EngineDynamics,
     IdentifiedCalibration,

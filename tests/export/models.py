@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from narxcal.calibration.calibration import DynamicCalibration
 from narxcal.calibration.delay import TransportDelay
+from narxcal.calibration.dynamic import DynamicCalibration
 from narxcal.calibration.identified import (
     EngineDynamics,
     IdentifiedCalibration,

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from narxcal.atmosphere import isa
 from narxcal.channels import CHANNELS
-from narxcal.flight_test import sensors as measurement
+from narxcal.flight_test import signals
 from narxcal.flight_test.sensors import (
     PARAMETERS,
     PRESETS,
@@ -17,13 +17,15 @@ from narxcal.flight_test.sensors import (
     SensorConfig,
     SensorFault,
     Streams,
-    at_times,
     channels_of,
+    record,
+)
+from narxcal.flight_test.signals import (
+    at_times,
     coloured,
     first_order,
     frozen,
     quantised,
-    record,
     slots,
     turbine_meter,
     windows,
@@ -107,8 +109,8 @@ def test_a_turbine_meter_answers_a_fall_later_than_a_rise_and_survives_no_flow()
 
 def test_the_compiled_meter_is_its_own_python():
     flow = 300.0 + 250.0 * np.sin(TIME)
-    slow = measurement._turbine.py_func(flow, 0.4, 300.0, DT)
-    np.testing.assert_allclose(measurement._turbine(flow, 0.4, 300.0, DT), slow, rtol=1e-13)
+    slow = signals._turbine.py_func(flow, 0.4, 300.0, DT)
+    np.testing.assert_allclose(signals._turbine(flow, 0.4, 300.0, DT), slow, rtol=1e-13)
 
 
 # Times

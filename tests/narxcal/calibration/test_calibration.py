@@ -9,7 +9,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from narxcal.calibration.calibration import DynamicCalibration, narx_features
+from narxcal.calibration.dynamic import DynamicCalibration, narx_features
 from narxcal.calibration.identified import calibration_from_arrays
 from narxcal.narx.config import NarxConfig
 from narxcal.narx.module import NarxNet

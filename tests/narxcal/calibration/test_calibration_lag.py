@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from narxcal.calibration.calibration import DynamicCalibration, narx_features
+from narxcal.calibration.dynamic import DynamicCalibration, narx_features
 from narxcal.calibration.members import Member
 from narxcal.lumped.engine import LumpedEngine
 from narxcal.lumped.rotors import LIMITED

@@ -9,8 +9,8 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from narxcal.calibration.bundle import Bundle
-from narxcal.calibration.calibration import DynamicCalibration
 from narxcal.calibration.certificate import Certificate, certify, settling
+from narxcal.calibration.dynamic import DynamicCalibration
 from narxcal.calibration.identified import (
     EngineDynamics,
     IdentifiedCalibration,

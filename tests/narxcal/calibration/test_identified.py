@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from narxcal import Bundle, load_bundle, save_bundle
-from narxcal.calibration.bundle import seal
+from narxcal.calibration.folder import seal
 from narxcal.calibration.identified import (
     EngineDynamics,
     IdentifiedCalibration,
