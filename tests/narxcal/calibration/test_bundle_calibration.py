@@ -217,7 +217,9 @@ def test_garbage_with_a_fitting_hash_is_refused_or_runs(calibrated, tmp_path, ma
             load_bundle(run).calibration.simulate(LOG[:5])
         except NarxcalError as error:
             refused.append((path, value, str(error)))
-    assert len(refused) > len(cases) // 3  # what only describes the arrays is read by nobody
+    # What only describes the arrays is read by nobody.
+    read = [path for path, _ in cases if path[:2] != ("weights", "arrays")]
+    assert len(refused) > len(read) // 2
     assert [case for case in refused if str(run) not in case[2]] == []
 
 
