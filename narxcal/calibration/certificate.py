@@ -2,7 +2,7 @@
 
 | form | settles |
 |---|---|
-| lags, limited or governed | by construction (`narxcal.lumped.rotors`) |
+| lags, limited or governed | by construction (`narxcal.lumped`) |
 | network behind lags | by its decay bound (`settle_s`) |
 | response of first or second order | by construction: exp(...) are times, damping, frequency |
 | steady state, first-order lag | by construction |

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from narxcal.lumped.engine import LumpedEngine
-from narxcal.lumped.rotors import CASING, FAST, ROWS, Drive
+from narxcal.lumped.states import CASING, FAST, ROWS, Drive
 from narxcal.narx.kernels import Layers, fading, free_run
 from narxcal.narx.network import AT_START, NarxModel
 from narxcal.support.arrays import BoolArray, FloatArray, IntArray

@@ -19,8 +19,8 @@ from narxcal.atmosphere import KELVIN, T0_K
 from narxcal.export.onnx_graph import OPSET, Graph, Number, clip, traced, where
 from narxcal.export.parts import LAG_ROWS, Part, Struct
 from narxcal.export.program import Program
-from narxcal.lumped import rotors
-from narxcal.lumped.rotors import Drive, Engine
+from narxcal.lumped import governed, limited
+from narxcal.lumped.states import Drive, Engine
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ModelError
 from narxcal.support.files import atomic_write_bytes
@@ -149,7 +149,7 @@ class _Model:
         return [*[0.0] * ((LAG_ROWS - 2) * self.outputs), *at.target[0], *now.ss]
 
     def lags_step(self, lags: Struct, now: _Sample, x: Numbers) -> tuple[Numbers, Numbers]:
-        n, own, governed = lags.numbers, self.outputs, "governed" in lags.needs
+        n, own, form = lags.numbers, self.outputs, lags.needs[-1]
         at = self._drive(n, now)
         table = np.array(x, dtype=object).reshape(LAG_ROWS, own)
         states, before = table[: LAG_ROWS - 2].copy(), table[LAG_ROWS - 2 :]
@@ -157,10 +157,10 @@ class _Model:
             np.array([before[1], at.ss[0]]), np.array([before[0], at.target[0]]),
             np.array([at.per_unit[0]] * 2), np.array([at.air[0]] * 2),
         )  # fmt: skip
-        engine = Engine(n["theta"], n["limit"], n["order"], n["own"], n["rank"], governed)
-        names = traced(rotors)
-        names["_governed" if governed else "_limited"](engine, drive, states, 1, n["dt_s"])
-        deviation = [names["deviation"](states, o) for o in range(own)]
+        engine = Engine(n["theta"], n["limit"], n["order"], n["own"], n["rank"], form == "governed")
+        names = traced(governed if form == "governed" else limited)
+        names[form](engine, drive, states, 1, n["dt_s"])
+        deviation = [states[:3, o].sum() for o in range(own)]
         return deviation, [*states.ravel(), *at.target[0], *now.ss]
 
     def _drive(self, n: Any, now: _Sample) -> Drive:

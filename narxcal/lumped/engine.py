@@ -1,11 +1,12 @@
 """The lumped two-spool engine: parameters by name, start, free run, slopes, storage.
 
-`narxcal.lumped.rotors` has the equations and the names of the parameters. The steady state is an
-exact equilibrium, which is stable whatever the parameters are.
+`narxcal.lumped.limited` and `governed` have the equations and the names of the parameters. The
+steady state is an exact equilibrium, which is stable whatever the parameters are.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,25 +16,21 @@ import numpy as np
 
 from narxcal.atmosphere import air_columns
 from narxcal.channels import SPOOLS
-from narxcal.lumped.rotors import (
-    CASING,
+from narxcal.lumped.governed import (
     EXTRA,
-    FAST,
     HEAT,
-    LIMITED,
     LINES,
     OTHER_LINES,
     REGRESSORS,
-    ROWS,
     SLOPES,
-    Drive,
-    Engine,
-    conditions,
-    run,
+    governed,
 )
+from narxcal.lumped.limited import LIMITED, limited
+from narxcal.lumped.states import CASING, FAST, ROWS, SOAK, Drive, Engine, conditions, deviation
 from narxcal.narx.network import AT_START, shaped
 from narxcal.support.arrays import BoolArray, FloatArray, IntArray
-from narxcal.support.dual import WIDTH, seeded
+from narxcal.support.compiled import compiled
+from narxcal.support.dual import WIDTH, get, put, seeded
 from narxcal.support.errors import ModelError
 
 Starts = tuple[IntArray, FloatArray]  # positions (n,) of windows, and states (n, ROWS, n_out)
@@ -211,7 +208,7 @@ class LumpedEngine:
         `measured` (T, n_out) deviations, where they are finite, replace the model's own before each
         step (one-step prediction). Of `outputs` see `compiled`.
         """
-        return run(self.compiled(outputs), drive, starts, _rows(measured, drive), dt_s)
+        return free_run(self.compiled(outputs), drive, starts, _rows(measured, drive), dt_s)
 
     def slopes(
         self,
@@ -227,7 +224,7 @@ class LumpedEngine:
         for first in range(0, len(free), WIDTH):
             some = free[first : first + WIDTH]
             dual = engine._replace(theta=seeded(self.theta, some))
-            numbers, _ = run(dual, drive, starts, _rows(measured, drive), dt_s)
+            numbers, _ = free_run(dual, drive, starts, _rows(measured, drive), dt_s)
             parts.append(numbers[::every, columns, 1 : 1 + len(some)])
         return np.concatenate(parts, axis=2)
 
@@ -273,3 +270,42 @@ def core_of(names: Sequence[str]) -> int:
 def _rows(measured: FloatArray | None, drive: Drive) -> FloatArray:
     none = np.empty((0, drive.ss.shape[1]))
     return none if measured is None else np.ascontiguousarray(measured)
+
+
+@compiled(exact=False)
+def free_run(
+    engine: Engine,
+    drive: Drive,
+    starts: tuple[IntArray, FloatArray],
+    measured: FloatArray,
+    dt_s: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Deviations (T, o) and the states (`ROWS`, o) at the end; of dual numbers with slopes behind.
+
+    `starts` are positions (n,) at which a window begins, and the states there (n, `ROWS`, o).
+    `measured` (T, o), if it has rows, replaces the deviation before each step where it is finite
+    (one-step prediction). Columns that are not in `engine.outputs` stay zero.
+    """
+    count = drive.ss.shape[1]
+    found = np.zeros(drive.ss.shape + engine.theta.shape[1:])
+    x = np.zeros((ROWS, count) + engine.theta.shape[1:])  # noqa: RUF005 (numba unpacks no tuples)
+    window = 0
+    for k in range(len(found)):
+        if window < len(starts[0]) and starts[0][window] == k:
+            for row in range(ROWS):
+                for o in range(count):
+                    put(x, (row, o), starts[1][window, row, o])
+            window += 1
+        else:
+            for o in range(count if len(measured) > 0 else 0):
+                if math.isfinite(measured[k - 1, o]):
+                    slow = get(x, (SOAK, o)) + get(x, (CASING, o))
+                    put(x, (FAST, o), measured[k - 1, o] - slow)
+            if engine.governed:
+                governed(engine, drive, x, k, dt_s)
+            else:
+                limited(engine, drive, x, k, dt_s)
+        for j in range(len(engine.outputs)):
+            o = engine.outputs[j]
+            put(found, (k, o), deviation(x, o))
+    return found, x

@@ -12,7 +12,9 @@ from hypothesis import strategies as st
 from narxcal.atmosphere import air_state
 from narxcal.calibration.register import Parts, Register, Sample
 from narxcal.lumped.engine import LumpedEngine, shapes_of
-from narxcal.lumped.rotors import LIMITED, LINES, ROWS, inner_steps
+from narxcal.lumped.governed import LINES, inner_steps
+from narxcal.lumped.limited import LIMITED
+from narxcal.lumped.states import ROWS
 from narxcal.narx.config import NarxConfig
 from narxcal.narx.module import NarxNet
 from narxcal.narx.network import NarxModel, Scaling

@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 from narxcal.atmosphere import air_state
 from narxcal.lumped.engine import LumpedEngine
-from narxcal.lumped.rotors import LIMITED as PARAMETERS
-from narxcal.lumped.rotors import ROWS, UNLIMITED
+from narxcal.lumped.limited import LIMITED as PARAMETERS
+from narxcal.lumped.limited import UNLIMITED
+from narxcal.lumped.states import ROWS
 from narxcal.narx.network import AT_START
 from narxcal.support.errors import ModelError
 

@@ -7,7 +7,7 @@ import torch
 from narxcal.calibration.dynamic import DynamicCalibration, narx_features
 from narxcal.calibration.members import Member
 from narxcal.lumped.engine import LumpedEngine
-from narxcal.lumped.rotors import LIMITED
+from narxcal.lumped.limited import LIMITED
 from narxcal.narx.config import NarxConfig
 from narxcal.narx.module import NarxNet
 from narxcal.narx.network import NarxModel, Scaling
