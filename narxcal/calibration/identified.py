@@ -32,11 +32,12 @@ from narxcal.calibration.delay import TransportDelay
 from narxcal.calibration.dynamic import DynamicCalibration
 from narxcal.intervals import HalfWidths
 from narxcal.output_error.engine import STEADY_OUTPUTS, EngineFromSteady, steady_drive
+from narxcal.state_space import StateSpace
 from narxcal.steady.model import ALTERED, SteadyStateModel
 from narxcal.steady.opening import steady_from_json, steady_to_json
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ModelError, NarxcalError
-from narxcal.transfer import Schedule, StateSpace, respond
+from narxcal.transfer import Schedule, respond
 
 
 class Dynamics(ABC):

@@ -65,10 +65,7 @@ class Member:
 
     @classmethod
     def from_json(cls, stored: Mapping[str, Any]) -> Self:
-        """Inverse of `to_json`; `ModelError` for a kind that is none or a number that is none.
-
-        A member of an older version has no weight: it stands for its output alone.
-        """
+        """Inverse of `to_json`; `ModelError` for a kind that is none or a number that is none."""
         return read_stored(cls, stored, "members")
 
     def fits(self, outputs: int) -> bool:

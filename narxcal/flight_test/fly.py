@@ -22,8 +22,9 @@ from narxcal.flight_test.pilot import SIDES
 from narxcal.flight_test.scenario import SCHEMA, FlightScenario, FlownEffect
 from narxcal.flight_test.sensors import Streams, record
 from narxcal.support.arrays import FloatArray
+from narxcal.support.csv_text import log_csv
 from narxcal.support.errors import ConfigError, ModelError
-from narxcal.support.files import is_file, log_csv, versions
+from narxcal.support.files import is_file, versions
 from narxcal.support.parallel import in_processes
 from narxcal.support.progress import Progress, silent
 from narxcal.support.settings import read_toml

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, is_dataclass, replace
 from functools import wraps
 from inspect import signature
-from typing import Any, ClassVar, ParamSpec, Protocol, Self
+from typing import Any, ClassVar, ParamSpec, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,6 +22,7 @@ from narxcal.steady.model import (
     Arrays,
     BoxModel,
     Envelope,
+    SteadyStateModel,
     register_steady,
     stored,
     stored_names,
@@ -172,17 +173,7 @@ def _made(value: Any) -> Any:
     return build(value) if isinstance(value, dict) and "model" in value else value
 
 
-class SteadyEngine(Protocol):
-    """Steady-state engine model, for example the virtual engine."""
-
-    @property
-    def input_names(self) -> tuple[str, ...]: ...
-    @property
-    def output_names(self) -> tuple[str, ...]: ...
-    def outputs(self, inputs: ArrayLike) -> FloatArray: ...
-
-
-def component_level(engine: SteadyEngine, output: str, inputs: Iterable[str]) -> StaticModel:
+def component_level(engine: SteadyStateModel, output: str, inputs: Iterable[str]) -> StaticModel:
     """Component-level model (CLM): `scale` times the `output` of an engine model.
 
     `inputs` are the columns that drive it; its other inputs are zero.

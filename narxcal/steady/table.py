@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from io import StringIO
 from os import PathLike
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, Self, get_args
+from typing import Any, ClassVar, Self, get_args
 
 import numpy as np
 import pandas as pd
@@ -108,14 +108,6 @@ def _interpolate(
     return result
 
 
-class _Interpolant(Protocol):
-    """Evaluates `(n, n_in)` finite inputs inside or outside the envelope."""
-
-    def values(self, inputs: FloatArray) -> FloatArray: ...
-
-    def inside(self, inputs: FloatArray) -> BoolArray: ...
-
-
 @register_steady
 class SteadyTable:
     """Interpolates `values` `(n, n_out)` known at `points` `(n, n_in)`.
@@ -149,7 +141,7 @@ class SteadyTable:
         self.envelope = Envelope.of(self.points)
         axes = _grid_axes(self.points)
         self.gridded = axes is not None
-        self._interpolant: _Interpolant = (
+        self._interpolant: _Grid | _Scatter = (
             _Scatter(self.points, self.values)
             if axes is None
             else _Grid(axes, _on_grid(self.points, self.values, axes), method)
