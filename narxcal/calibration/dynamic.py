@@ -188,9 +188,8 @@ class DynamicCalibration(Calibration):
             steady = steady_from_json(meta["steady"], part["steady"], trust=trust)
             settle_s = meta["settle_s"]
             loaded = cls(steady, narx, float(meta["dt_s"]), meta["schedule"], settle_s)
-            lag = meta.get("lag")
-            if lag is not None:
-                loaded = loaded.with_lag(LumpedEngine.from_arrays(lag, part["lag"]))
+            if meta["lag"] is not None:
+                loaded = loaded.with_lag(LumpedEngine.from_arrays(meta["lag"], part["lag"]))
             loaded = loaded.with_members([Member.from_json(one) for one in meta.get("members", ())])
             if meta.get("network_share") is not None:
                 loaded = loaded.with_network_share(meta["network_share"])

@@ -364,25 +364,10 @@ class _Running:
         return np.asarray(ss - outputs[1:])
 
 
-_PARTS = {
-    "dt_s", "steady", "reach", "interval", "delay", "dynamics",
-    "schedule", "settle_s", "narx", "lag", "members", "network_share",
-}  # fmt: skip
-
-
 def calibration_from_arrays(
     meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]], *, trust: bool = False
 ) -> Calibration:
-    """Rebuild a calibration of any kind from its `to_arrays`.
-
-    Raises `ModelError` for a part that this version does not know: without it the model is another.
-    """
-    unknown = sorted(set(meta) - _PARTS)
-    if unknown:
-        raise ModelError(
-            f"the stored calibration has '{unknown[0]}', expected {', '.join(sorted(_PARTS))}",
-            hint="Train it anew, or read it with the version of narxcal that wrote it",
-        )
+    """Rebuild a calibration of any kind from its `to_arrays`."""
     found: Calibration
     if "dynamics" in meta:
         found = IdentifiedCalibration.from_arrays(meta, arrays, trust=trust)

@@ -35,7 +35,6 @@ from narxcal.support.errors import ModelError
 
 Starts = tuple[IntArray, FloatArray]  # positions (n,) of windows, and states (n, ROWS, n_out)
 _SCALES = ("centre", "half", "limit")
-_FORM = "governed/2"  # `form` of a stored governed engine; limited ones have the parameters' names
 
 
 class Slopes(NamedTuple):
@@ -237,23 +236,16 @@ class LumpedEngine:
 
     def to_arrays(self) -> tuple[dict[str, Any], dict[str, FloatArray]]:
         names = {"output_names": list(self.output_names)}
-        own = {"form": _FORM} if self.governed else {"parameter_names": list(LIMITED)}
+        own = {"form": "governed"} if self.governed else {"parameter_names": list(LIMITED)}
         return {**own, **names}, {**self.arrays, **{name: getattr(self, name) for name in _SCALES}}
 
     @classmethod
     def from_arrays(cls, meta: Mapping[str, Any], arrays: Mapping[str, FloatArray]) -> Self:
-        """Rebuild from `to_arrays`.
-
-        Raises `ModelError` for another form, and where an array is missing or misshapen.
-        """
+        """Rebuild from `to_arrays`; `ModelError` where an array is missing or misshapen."""
         names = tuple(meta["output_names"])
-        form = meta.get("form")
-        hint = "Train again if another version of narxcal wrote the folder"
-        if form not in {None, _FORM}:
-            raise ModelError(f"the lags are of form {form!r}, expected {_FORM!r}", hint=hint)
-        shapes = shapes_of(len(names), governed=form is not None)
+        shapes = shapes_of(len(names), governed="form" in meta)
         scales = dict.fromkeys(_SCALES, (len(names),))
-        found = shaped(arrays, shapes | scales, "lag array", hint)
+        found = shaped(arrays, shapes | scales, "lag array")
         return cls.of(names, found, found)
 
 

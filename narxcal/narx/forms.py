@@ -103,7 +103,7 @@ def pack(model: DynamicModel) -> tuple[dict[str, Any], dict[str, FloatArray]]:
 
 def unpack(meta: Mapping[str, Any], arrays: Mapping[str, FloatArray]) -> DynamicModel:
     """Rebuild what `pack` made; `ModelError` where a part is missing or unusable."""
-    kind = meta.get("kind", "network")
+    kind = meta.get("kind")
     if kind == "network":
         return NarxModel.from_arrays(meta, arrays)
     if kind == "latent":

@@ -352,7 +352,6 @@ def shaped(
     arrays: Mapping[str, FloatArray],
     shapes: Mapping[str, tuple[int, ...]],
     what: str,
-    hint: str | None = None,
 ) -> dict[str, FloatArray]:
     """Copy stored arrays; raises `ModelError` for `what` is missing or of another shape."""
     kept = {}
@@ -361,7 +360,7 @@ def shaped(
         if found is None or found.shape != shape:
             given = None if found is None else found.shape
             problem = f"{what} '{name}' has to be of shape {shape}, found {given}"
-            raise ModelError(problem, hint=hint)
+            raise ModelError(problem)
         kept[name] = np.array(found, dtype=np.float64)
     return kept
 

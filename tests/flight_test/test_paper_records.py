@@ -14,7 +14,6 @@ from narxcal.flight_test.paper_records import (
     throttle_rate_sets,
 )
 from narxcal.flight_test.route import CEILING_FT, CHANNEL_NAMES
-from narxcal.turbofan.engine import INPUT_NAMES, VirtualEngine
 
 PUSHES = 152
 TEST_SETS = (5, 7, 8)
@@ -165,10 +164,3 @@ def test_wheels_carry_weight_on_the_field_only():
         assert one.channels["Mach"][ground].max() < 0.25
         assert not (ground & (one.channels["Approach"] == 1.0)).any()
         assert np.count_nonzero(np.diff(one.channels["WOW"]) < 0) == 4
-
-
-def test_an_engine_can_fly_a_set():
-    channels = take_off_approach_sets(0, 32.0)[0].channels
-    short = {name: channels[name][: 700 * 32] for name in INPUT_NAMES}
-    outputs = VirtualEngine().simulate(short, 1 / 32)
-    assert all(np.isfinite(values).all() for values in outputs.values())

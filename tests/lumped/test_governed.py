@@ -335,16 +335,6 @@ def test_an_array_that_does_not_fit_is_named(name):
         LumpedEngine.from_arrays(meta, arrays)
 
 
-def test_lags_of_another_version_are_refused_with_their_form():
-    meta, arrays = lags().to_arrays()
-    message = (
-        "the lags are of form 'governed', expected 'governed/2'. "
-        "Train again if another version of narxcal wrote the folder"
-    )
-    with pytest.raises(ModelError, match=f"^{message}$"):
-        LumpedEngine.from_arrays({**meta, "form": "governed"}, arrays)
-
-
 def test_an_engine_without_a_fan_is_refused():
     with pytest.raises(ModelError, match="the speeds of a fan and a core, found N2_pct, EGT_C"):
         _ = replace(lags(), output_names=("N2_pct", "EGT_C")).order

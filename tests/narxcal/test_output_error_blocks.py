@@ -40,12 +40,6 @@ def test_a_ramp_through_a_lag_is_exact_under_first_order_hold():
     np.testing.assert_allclose(y, expected, atol=1e-12)
 
 
-def test_both_holds_agree_on_a_constant_input():
-    system = Rotors(**LEFT).system()
-    zoh, foh = (from_rest(system, STEP, hold) for hold in ("zoh", "foh"))
-    np.testing.assert_allclose(zoh, foh, atol=1e-12)
-
-
 def test_on_a_ramp_zero_order_hold_lags_by_about_half_a_sample_more():
     zoh, foh = (from_rest(lag(1.0, 0.3), TIME, hold)[-1, 0] for hold in ("zoh", "foh"))
     assert TIME[-1] - foh == pytest.approx(0.3)
@@ -100,12 +94,6 @@ def test_engine_and_governor_are_one_lag_of_tau_engine(values, k_af, tau):
     assert y[-1, 2] == pytest.approx(final, rel=1e-6)
 
 
-def test_the_first_jump_of_fuel_flow_is_035_of_its_final_value():
-    governor, plant = loop(LEFT, 3.11)
-    fuel = governor.closed_loop(plant).respond(3.11 * STEP, DT, "zoh", np.zeros(2))[:, 2]
-    assert fuel[0] / fuel[-1] == pytest.approx(0.3545, abs=5e-5)
-
-
 def test_feedback_of_another_size_gives_the_general_time_constant_and_gain():
     governor, plant = loop(LEFT, 3.11, C_FB=0.15)
     y = governor.closed_loop(plant).respond(3.11 * STEP, DT, "zoh", np.zeros(2))[:, 0]
@@ -130,10 +118,6 @@ def test_play_equals_a_machine_of_three_contacts(u, r, proportional):
             w = value + width
         expected.append(w)
     np.testing.assert_allclose(play(np.array(u), r, proportional), expected, atol=1e-12)
-
-
-def test_play_of_no_width_is_no_play():
-    np.testing.assert_array_equal(play(np.sin(TIME), 0.0), np.sin(TIME))
 
 
 def test_play_has_its_one_sided_derivative_by_complex_step():

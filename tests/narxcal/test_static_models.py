@@ -127,13 +127,6 @@ def test_capture_flow_is_zero_at_rest_and_the_corrected_one_is_not():
     assert at_start(cold_thrust(flow="nozzle"), **still) > 1.0
 
 
-def test_lower_fan_efficiency_raises_thrust():
-    model = cold_thrust()
-    worse = model.with_start("eta_f", 0.7)
-    condition = {"ALT_ft": 30_000, "Mach": 0.7, "FPR": 1.5}
-    assert at_start(worse, **condition) > at_start(model, **condition)
-
-
 @pytest.mark.parametrize(
     ("alt", "mach", "T4", "ratio", "tsfc"),
     [(0, 0.0, 1450, 18, 0.340), (35_000, 0.8, 1350, 23, 0.622)],
@@ -364,12 +357,6 @@ def test_an_unknown_model_lists_the_known_ones():
     message = f"^unknown static model 'rolls'. Known: {', '.join(MODELS)}$"
     with pytest.raises(ModelError, match=message):
         build({"model": "rolls"})
-
-
-@pytest.mark.parametrize("model", [aerospatiale(1.0), cold_thrust(), yoder_plus(1.0),
-                                   with_drag(mattingly(1.0)), torenbeek(1.0, 5.0)])  # fmt: skip
-def test_a_reconstruction_says_so(model):
-    assert "reconstruction" in model.reconstruction
 
 
 # Bad input.

@@ -262,10 +262,3 @@ def test_no_lever_play_breaks_a_limit(targets, place):
     assert np.all(fuel >= 0.65 * ratio * (1.0 - 1e-9))
     for column, limit in zip((N2_OUT, T45_OUT), limits, strict=True):
         assert np.max(flight.rows[:, column]) <= 1.01 * limit
-
-
-def test_governor_designs_what_its_formula_says():
-    line = np.array([0.0, 50.0, 100.0]), np.array([0.1, 0.6, 1.1])
-    gain, reset, lead = fadec.governor(*line, (0.5, 0.2, 0.1))
-    np.testing.assert_allclose(gain, 0.01 * 0.5 / (4.0 * 0.9**2 * 0.1))
-    assert (reset, lead) == (0.5, 0.2)

@@ -230,17 +230,6 @@ def test_a_lost_part_is_named():
     )
 
 
-def test_a_part_of_another_version_is_refused_not_left_out():
-    meta, arrays = calibration().to_arrays()
-    with pytest.raises(ModelError) as error:
-        calibration_from_arrays({**meta, "leads": []}, arrays)
-    assert str(error.value) == (
-        "the stored calibration has 'leads', expected delay, dt_s, dynamics, interval, lag, "
-        "members, narx, network_share, reach, schedule, settle_s, steady. Train it anew, or read "
-        "it with the version of narxcal that wrote it"
-    )
-
-
 def test_a_schedule_of_unknown_inputs_is_refused():
     with pytest.raises(ModelError) as error:
         DynamicCalibration(table(), calibration().narx, 0.1, ("ALT_ft",))

@@ -112,14 +112,6 @@ def test_its_own_free_run_is_predicted_and_nothing_after_a_masked_sample():
     assert np.flatnonzero(unknown).tolist() == [0, 21]
 
 
-def test_a_bundle_without_lags_of_an_older_version_is_read():
-    model = calibration()
-    network = NarxModel(NarxNet(NarxConfig(moving=2), 5, 2), plain(5), plain(2))
-    meta, arrays = DynamicCalibration(model.steady, network, 0.1, ("Mach",)).to_arrays()
-    del meta["lag"]
-    assert DynamicCalibration.from_arrays(meta, arrays).lag is None
-
-
 def plain(count):
     return Scaling(np.zeros(count), np.ones(count))
 

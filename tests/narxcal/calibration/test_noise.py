@@ -156,11 +156,6 @@ def test_a_noise_model_survives_json(model):
     assert again.to_dict() == model.to_dict()
 
 
-def test_a_noise_model_of_an_older_version_with_correlations_is_read(model):
-    table = {**model.to_dict(), "correlation": [[1.0]]}
-    assert NoiseModel.from_dict(table).to_dict() == model.to_dict()
-
-
 def test_a_noise_model_that_is_no_table_of_numbers_is_refused(model):
     message = (
         "the fuser's noise model is no table of numbers: could not convert string to float: 'x'. "
