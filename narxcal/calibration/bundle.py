@@ -135,10 +135,7 @@ def settle_bundle(folder: str | PathLike[str]) -> None:
 
 
 def check_bundle(folder: str | PathLike[str]) -> RunRecord:
-    """Check a bundle against its own hashes, without opening its model; returns its record.
-
-    Raises `ModelError` as `load_bundle`.
-    """
+    """Check a bundle against its own hashes, without opening its model; returns its record."""
     source = Path(folder)
     document = read_document(source)
     _FORM.read_arrays(source, document)

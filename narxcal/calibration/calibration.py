@@ -102,10 +102,7 @@ class Calibration(ABC):
         return self._with(interval=interval)
 
     def with_delay(self, delay: TransportDelay | None) -> Self:
-        """The calibration with inputs that act late, in every model of the mixture.
-
-        Raises `ModelError` for a channel that is no input.
-        """
+        """The calibration with inputs that act late, in every model of the mixture."""
         for name in () if delay is None else delay.channels:
             if name not in self.input_names:
                 raise ModelError(

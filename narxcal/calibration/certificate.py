@@ -170,10 +170,7 @@ def settling(
 def _held(
     model: Calibration, points: FloatArray, ss: FloatArray, hold_s: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Swing and offset (points, n_out) at the ends of stays; the run begins far from equilibrium.
-
-    What is not finite counts as infinite.
-    """
+    """Swing and offset (points, n_out) at the ends of stays; what is not finite is infinite."""
     steps = max(round(hold_s / model.dt_s), 12)
     order = np.repeat(np.arange(len(points)), steps)
     far = ss[0] + 0.5 * np.ptp(ss, axis=0)

@@ -90,10 +90,7 @@ class DynamicCalibration(Calibration):
         return self._with(settle_s=settle_s)
 
     def with_network_share(self, share: ArrayLike | None) -> Self:
-        """The calibration with this share (n_out,) of the network's deviation; None means all.
-
-        Raises `ModelError` unless there are lags, and a share between 0 and 1 for each output.
-        """
+        """The calibration with this share (n_out,) of the network's deviation; None means all."""
         if share is None:
             return self._with(network_share=None, interval=None)
         shares = np.asarray(share, dtype=np.float64)
@@ -171,10 +168,7 @@ class DynamicCalibration(Calibration):
         *,
         trust: bool = False,
     ) -> Self:
-        """Rebuild from `to_arrays`; `trust` as in `steady_from_json`.
-
-        Raises `ModelError` where the parts do not fit each other, or a number is not finite.
-        """
+        """Rebuild from `to_arrays`; `trust` as in `steady_from_json`."""
         part: dict[str, dict[str, NDArray[Any]]] = {"narx": {}, "steady": {}, "lag": {}}
         for name, value in arrays.items():
             unusable = np.isnan if name in _UNBOUNDED else lambda each: ~np.isfinite(each)

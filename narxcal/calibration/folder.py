@@ -23,10 +23,7 @@ PENDING = "weights.safetensors.new"
 
 
 def packed(arrays: Mapping[str, NDArray[Any]]) -> tuple[bytes, dict[str, Any]]:
-    """Serialise arrays for `WEIGHTS`; returns the bytes and the document's entry `weights`.
-
-    Raises `ModelError` for what the format cannot store.
-    """
+    """Serialise arrays for `WEIGHTS`; returns the bytes and the document's entry `weights`."""
     for name, array in arrays.items():
         if name == "__metadata__":
             raise ModelError(f"array name '{name}' is the format's own")

@@ -136,10 +136,7 @@ class Fuser(ABC):
         return self.run(*self._sample(prediction, measurement)).first
 
     def step(self, prediction: FloatArray, measurement: FloatArray) -> FusedStep:
-        """Fuse the next sample.
-
-        Raises `ModelError` before the first `reset` and where the prediction is not finite.
-        """
+        """Fuse the next sample."""
         return self.extend(*self._sample(prediction, measurement)).first
 
     def run(self, predictions: FloatArray, measurements: FloatArray) -> FusedRun:

@@ -56,10 +56,7 @@ class Dynamics(ABC):
         """Describe the model."""
 
     def drive(self, steady: SteadyStateModel, inputs: FloatArray, ss: FloatArray) -> FloatArray:
-        """Drive (time, columns) from inputs (time, n_in) and steady states (time, n_out).
-
-        The steady states themselves unless a model needs more.
-        """
+        """Drive (time, columns) from inputs (time, n_in) and steady states (time, n_out)."""
         del steady, inputs
         return ss
 

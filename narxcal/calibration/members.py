@@ -93,10 +93,7 @@ class Members:
     members: tuple[Member, ...] = ()
 
     def started(self, ss: FloatArray, first: FloatArray) -> MembersState:
-        """State at a sample with steady-state values `ss` (n_out,) and outputs `first` (n_out,).
-
-        The past was constant, as in a free run from equilibrium.
-        """
+        """State at a sample with steady-state values `ss` (n_out,) and outputs `first` (n_out,)."""
         depth = max((len(one.poles) for one in self.members), default=0)
         depth = max(depth, 1)
         channels = [one.channel for one in self.members]

@@ -64,8 +64,6 @@ class Grid:
         """Take `nodes` where they are given and the ends of the model's envelope elsewhere.
 
         A gridded table keeps all its own nodes.
-
-        Raises `ConfigError` for nodes of a name that is no input.
         """
         given = dict(nodes or {})
         for name in given:

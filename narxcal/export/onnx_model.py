@@ -396,10 +396,7 @@ def _second_order(
 
 
 def write_onnx(program: Program, file: Path) -> int:
-    """Write the model of the chosen engine; returns the size in bytes.
-
-    Raises `ModelError` where onnx is missing.
-    """
+    """Write the model of the chosen engine; returns the size in bytes."""
     try:
         from onnx import TensorProto, checker, helper, numpy_helper  # noqa: PLC0415
     except ImportError:

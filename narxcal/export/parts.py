@@ -65,10 +65,7 @@ class Part:
 
 
 def steady_struct(steady: SteadyStateModel) -> tuple[Struct, tuple[str, ...]]:
-    """A steady-state model, and the engines that it tells apart; the first is the one chosen.
-
-    Raises `ModelError` for a model that is neither a gridded table nor fitted.
-    """
+    """A steady-state model, and the engines that it tells apart; the first is the one chosen."""
     if isinstance(steady, FittedSteadyState):
         # A model of one engine was wanted as such; else all are in the file.
         chosen = steady.engine in steady.engines

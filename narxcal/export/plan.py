@@ -340,8 +340,6 @@ def export_table(
 
     `grid` has the first nodes; `ExportOptions` limit how many are added. Inputs of one node are
     left out. The same model and options give the same bytes.
-
-    Raises `ModelError` as `plan`, and `ConfigError` where the file cannot be written.
     """
     chosen, file = options or ExportOptions(), Path(path)
     planned = plan(model, grid, chosen, separate=False)

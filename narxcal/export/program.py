@@ -307,10 +307,7 @@ class Exportable:
         nodes: Mapping[str, Sequence[float]] | None = None,
         options: ExportOptions | None = None,
     ) -> Exportable:
-        """Choose an engine, and sample the steady state where it has to be.
-
-        Raises `ConfigError` for an engine that the run does not know, else as `plan`.
-        """
+        """Choose an engine, and sample the steady state where it has to be."""
         model, chosen = bundle.calibration, options or ExportOptions()
         if engine is not None:
             known = tuple(getattr(model.steady, "engines", ()))

@@ -160,10 +160,7 @@ def _truth(scenario: FlightScenario, rows: list[dict[str, Any]]) -> dict[str, An
 
 
 def fly(scenario: FlightScenario, flight: int) -> list[VirtualLog]:
-    """Fly one flight (numbered from 1) and record its engines; writes no files.
-
-    The same scenario and number give the same numbers, whatever else is flown.
-    """
+    """Fly one flight (numbered from 1) and record its engines; writes no files."""
     plans = scenario.planned(flight)
     return [_flown(scenario, flight, engine, plans) for engine in scenario.engines]
 
@@ -219,10 +216,7 @@ def _simulated(
 def flown_engine(
     scenario: FlightScenario, side: str, effects: Sequence[FlownEffect] = ()
 ) -> VirtualEngine:
-    """Build the engine on one side of the aircraft, with those `effects` that sit in an engine.
-
-    It is the same engine on every flight of the scenario, but for its effects.
-    """
+    """Build the engine on one side of the aircraft, with those `effects` that sit in an engine."""
     unmodelled = [
         Unmodelled(effect.id, effect.parameters, effect.windows_s)
         for effect in effects

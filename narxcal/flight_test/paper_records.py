@@ -151,10 +151,7 @@ def throttle_rate_sets(seed: int, rate_hz: float) -> tuple[DataSet, ...]:
 
 
 def take_off_approach_sets(seed: int, rate_hz: float) -> tuple[DataSet, ...]:
-    """Record take-offs, approaches, go-arounds and landings: five flights of four circuits.
-
-    Fields and days of the last two enclose those of the others.
-    """
+    """Record take-offs, approaches, go-arounds and landings: five flights of four circuits."""
     return _sets([circuits(field_ft, dT_C) for field_ft, dT_C in _FIELDS], seed, rate_hz)
 
 

@@ -311,10 +311,7 @@ def _correct(programme: _Programme, leg: Leg) -> None:
 
 
 def _test(programme: _Programme, leg: Leg) -> None:
-    """Place the set of test points, as many as the leg has time for.
-
-    A leg that is too short for all gets shorter ones in random order.
-    """
+    """Place the set of test points, as many as the leg has time for."""
     random, trim = programme.random, programme.angle_deg
     at = TestLevels(low=random.uniform(0.0, 6.0), trim=trim, high=random.uniform(76.0, 84.0))
     points = list(separating_set(at).values())

@@ -135,10 +135,7 @@ class LumpedEngine:
 
     @cached_property
     def order(self) -> IntArray:
-        """Columns with the core first, then the fan (if there is one), then the others.
-
-        Raises `ModelError` for a governed engine without the speeds of a fan and a core.
-        """
+        """Columns with the core first, then the fan (if there is one), then the others."""
         columns, speeds = np.arange(len(self.output_names)), np.flatnonzero(self.speeds)
         if self.governed and len(speeds) < 2:
             raise ModelError(

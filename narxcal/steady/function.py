@@ -110,10 +110,7 @@ class SteadyCallable(BoxModel):
         ranges: Ranges | None = None,
         folder: str | PathLike[str] = ".",
     ) -> Self:
-        """Import `module:function`; a module that is not installed is looked for in `folder`.
-
-        Raises `ConfigError` if there is no such module or function.
-        """
+        """Import `module:function`; a module that is not installed is looked for in `folder`."""
         function, file = import_function(reference, folder)
         return cls(function, names, ranges, reference, str(file))
 

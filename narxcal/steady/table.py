@@ -310,9 +310,6 @@ def read_steady_table(
     may have decimal commas. By default the channels with the role of an output are the outputs and
     the others the inputs; name them where one is otherwise (fuel flow as the driver). Further
     columns are ignored.
-
-    Raises `DataError` naming file, row (line of the file) and value, and `ConfigError` for a
-    name that is no channel.
     """
     file = Path(path)
     cells = _read_cells(file)

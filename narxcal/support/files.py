@@ -43,8 +43,6 @@ def atomic_write_bytes(path: str | PathLike[str], data: bytes) -> None:
     """Write `data` to `path`, replacing what was there only once all of it is on the disk.
 
     `-` is the standard output; a device, a pipe or a socket is written to as it is.
-
-    Raises `ConfigError` if it cannot be written; the former file is then untouched.
     """
     target = Path(path)
     if in_place(target):
@@ -72,8 +70,6 @@ def atomic_stream(path: str | PathLike[str], *, live: bool = False) -> Iterator[
     On any error, Ctrl-C included, it is removed and `path` stays as it was. A `live` one is
     named `NAME.part` until then, so that others can read it while it grows. `-`, devices and pipes
     are written in place.
-
-    Raises `ConfigError` if it cannot be written, and for a `NAME.part` that is there already.
     """
     target = Path(path)
     if in_place(target):
@@ -103,8 +99,6 @@ def atomic_folder(path: str | PathLike[str], replaced: Results | None = None) ->
     On any error, Ctrl-C included, the temporary folder is removed and `path` stays as it
     was. An existing folder with content is refused, unless it is a `replaced` one that holds
     nothing else: that is deleted once the new one stands.
-
-    Raises `ConfigError` as `check_output_folder`, and if the disk refuses the content.
     """
     target = check_output_folder(path, replaced)
     part = _temporary(target, "part")
@@ -153,8 +147,6 @@ def check_file(out: Path, *inputs: Path, overwrite: bool = False) -> None:
 
     `inputs` are files and folders that the command reads: nothing there is ever written over.
     `-`, devices and pipes are good as they are.
-
-    Raises `ConfigError`.
     """
     if in_place(out):
         return
@@ -229,10 +221,7 @@ def _check_folder(path: Path, target: Path) -> None:
 
 
 def check_writable(path: str | PathLike[str]) -> None:
-    """Refuse, before any work is done, a place whose disk takes nothing; leaves nothing there.
-
-    Raises `ConfigError` as the writing itself would.
-    """
+    """Refuse, before any work is done, a place whose disk takes nothing; leaves nothing there."""
     target = Path(path).absolute()
     ground = next(folder for folder in (*target.parents, target) if folder.exists())
     probe = _temporary(ground / target.name, "part")
@@ -257,10 +246,7 @@ class Results:
     pattern: str = ""
 
     def check(self, folder: Path) -> None:
-        """Refuse, before any work is done, a folder with content that this command never wrote.
-
-        Raises `ConfigError`, also for one that cannot be written.
-        """
+        """Refuse, before any work is done, a folder with content that this command never wrote."""
         check_output_folder(folder, self)
 
     def check_content(self, folder: Path, target: Path) -> None:

@@ -87,10 +87,7 @@ class Closed:
 
 
 def close(point: DesignPoint, shape: GasPath) -> Closed:
-    """Fill in the sizes of `shape`, whose exponents, losses and cooling shares are kept.
-
-    Raises `ValueError` if the turbines cannot drive the compressors.
-    """
+    """Fill in the sizes of `shape`, whose exponents, losses and cooling shares are kept."""
     static = (T0_K, P0_PA, 0.0)
     air = Air(*static, *fan_face(*static, point.recovery))
     re = float(reynolds_factor(shape.reynolds_loss, air))
@@ -311,10 +308,7 @@ def _topping_gains(fuel: FloatArray, N2c: FloatArray, stations: FloatArray) -> F
 def rotor_lags_s(
     machine: Machine, body: Body, condition: FloatArray, x: FloatArray
 ) -> tuple[float, float]:
-    """Time constants of the rotors, slow and fast, about a steady point at constant fuel.
-
-    By central differences of both rotors' rates by their speeds.
-    """
+    """Time constants of the rotors, slow and fast, about a steady point at constant fuel."""
     inertia = np.array([body.inertia1_J, body.inertia2_J])
 
     def rates(speeds: FloatArray) -> FloatArray:

@@ -142,9 +142,6 @@ class VirtualEngine(BoxModel):
 
         `inputs` maps `INPUT_NAMES` to (time,); the result maps `transient.COLUMNS` to (time,).
         The outputs are true values; only EGT is that of its probe, whose lag depends on the flow.
-
-        Raises `ModelError` if an input is missing or of another length, or if a sample lies
-        outside the envelope or does not converge.
         """
         u = _stacked(inputs)
         self._check(u, dt_s)
@@ -272,10 +269,7 @@ def _outside(u: FloatArray, outside: NDArray[np.bool_]) -> str:
 
 
 def maker_model(inputs: ArrayLike) -> NDArray[np.float64]:
-    """Steady N1, N2 and EGT (..., 3) at `inputs` (..., 9) of the business-jet engine.
-
-    Raises `ModelError` naming the condition that does not converge.
-    """
+    """Steady N1, N2 and EGT (..., 3) at `inputs` (..., 9) of the business-jet engine."""
     return _business_jet().outputs(inputs)[..., :3]
 
 
