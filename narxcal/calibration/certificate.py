@@ -21,7 +21,7 @@ own.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import product
 from typing import Annotated, Any, Final
 
@@ -102,19 +102,8 @@ class Certificate:
         return f"is unstable at {where}: a pole of {self.pole:.6f} per sample"
 
     def row(self) -> dict[str, Any]:
-        slowest_s = self.slowest_s
-        return {
-            "settled": self.settled,
-            "pole": self.pole,
-            "pole_at": dict(self.pole_at),
-            "slowest_s": slowest_s if np.isfinite(slowest_s) else None,
-            "hold_s": self.hold_s,
-            "points": self.points,
-            "swing": dict(self.swing),
-            "offset": dict(self.offset),
-            "at": dict(self.at),
-            "dt_s": self.dt_s,
-        }
+        slowest_s = self.slowest_s if np.isfinite(self.slowest_s) else None
+        return {"settled": self.settled, "slowest_s": slowest_s, **asdict(self)}
 
 
 def certify(model: Calibration) -> Certificate:

@@ -9,7 +9,7 @@ the C, with the same tables of numbers (`narxcal.export.parts`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ import numpy as np
 
 from narxcal.atmosphere import KELVIN, T0_K
 from narxcal.export.onnx_graph import OPSET, Graph, Number, clip, traced, where
-from narxcal.export.parts import LAG_ROWS, Part, Struct
+from narxcal.export.parts import LAG_ROWS, Struct
 from narxcal.export.program import Program
 from narxcal.lumped import governed, limited
 from narxcal.lumped.states import Drive, Engine
@@ -32,15 +32,12 @@ class _Sample:
     """Inputs and steady state of a sample, as columns."""
 
     def __init__(self, model: _Model, given: Numbers) -> None:
-        self.model, self.given = model, given
+        self.given = given
         self.ss: Numbers = model.steady(given)
-
-    def air(self, columns: Sequence[int]) -> tuple[Any, Any]:
-        """theta2 and delta2 of columns of altitude, Mach and temperature deviation."""
-        return _air(self.model.graph, self.given, columns)
 
 
 def _air(g: Graph, given: Numbers, columns: Sequence[int]) -> tuple[Any, Any]:
+    """theta2 and delta2 of columns of altitude, Mach and temperature deviation."""
     alt, mach, hot = (given[k] if k >= 0 else g.constant(0.0) for k in columns)
     height = clip(alt * 0.3048, -np.inf, 20e3)
     standard = T0_K - 0.0065 * clip(height, -np.inf, 11e3)
@@ -164,7 +161,7 @@ class _Model:
         return deviation, [*states.ravel(), *at.target[0], *now.ss]
 
     def _drive(self, n: Any, now: _Sample) -> Drive:
-        theta, delta = now.air(n["air"])
+        theta, delta = _air(self.graph, now.given, n["air"])
         root = theta.to("Sqrt")
         target = [
             (y / root - c) / h for y, c, h in zip(now.ss, n["centre"], n["half"], strict=True)
@@ -342,8 +339,9 @@ class _Model:
         total, kept = [self.batch] * self.outputs, []
         for part in self.program.parts:
             x = [state.column(at + k) for k in range(part.states)]
-            begun = self._of(part, "start")(part.struct.numbers, now)
-            d, after = self._of(part, "step")(part.struct.numbers, now, x)
+            start, step = (getattr(self, f"{part.struct.kind}_{v}") for v in ("start", "step"))
+            begun = start(part.struct.numbers, now)
+            d, after = step(part.struct.numbers, now, x)
             kept += [where(begins, a, b) for a, b in zip(begun, after, strict=True)]
             for o, weight in enumerate(part.weights):
                 if weight:
@@ -367,10 +365,6 @@ class _Model:
         for k, column in enumerate(columns):
             acting[column] = (1.0 - part) * after[k] + part * past[k]
         return acting, after
-
-    def _of(self, part: Part, verb: str) -> Callable[..., Any]:
-        found: Callable[..., Any] = getattr(self, f"{part.struct.kind}_{verb}")
-        return found
 
 
 def _second_order(

@@ -78,11 +78,6 @@ class StaticModel:
     undefined: str = "a value is not finite"
     recipe: Mapping[str, Any] = field(default_factory=dict)
 
-    def __post_init__(self) -> None:
-        names = [parameter.name for parameter in self.parameters]
-        if len(set(names)) < len(names):
-            raise ConfigError(f"{self.name}: two parameters have the same name in {names}")
-
     @property
     def starts(self) -> FloatArray:
         return np.array([parameter.start for parameter in self.parameters])
@@ -124,8 +119,6 @@ class StaticModel:
 
     def with_start(self, name: str, value: float) -> StaticModel:
         """Same model, with another start value of one parameter."""
-        if name not in {p.name for p in self.parameters}:
-            raise ModelError(f"'{self.name}' has no parameter named {name}")
         changed = (replace(p, start=value) if p.name == name else p for p in self.parameters)
         return replace(self, parameters=tuple(changed))
 

@@ -34,7 +34,6 @@ from narxcal.static_models import (
 )
 from narxcal.static_models.black_box import Chebyshev, Spline
 from narxcal.static_models.fuel import KGPH_PER_KN
-from narxcal.static_models.model import StaticModel
 from narxcal.static_models.thrust import gas_generator, generator
 from narxcal.support.errors import ConfigError, DataError, ModelError
 
@@ -326,12 +325,6 @@ def test_a_correction_adds_to_any_model():
     assert found - plain == pytest.approx([3.0 + 5.0 * (2.0 * 1.4 - 3.0)])
 
 
-def test_a_correction_of_another_output_is_refused():
-    extra = tensor("FN_kN", [Chebyshev(column="FPR", degree=1, low=1.0, high=2.0)])
-    with pytest.raises(ConfigError, match=r"^the correction of 'BADA 3' models FN_kN, expected FF"):
-        corrected(bada3(), extra)
-
-
 # What every model says of itself.
 COLUMNS = mesh_columns(lambda t, _a, m: t * m) | {"FPR": np.linspace(1.2, 1.8, 80)}
 
@@ -403,9 +396,6 @@ def test_columns_of_different_length_are_refused():
      r"^polynomial in x: expected degree >= 0 and low < high, found degree -1 over 0 \.\. 1$"),
     (lambda: cold_thrust(variant="paper", flow="nozzle"),
      "^Cold Thrust: variant 'paper' has flow 'capture' only, found 'nozzle'$"),
-    (lambda: StaticModel(name="m", output="y", inputs=(), equation=lambda p, _: p,
-                         parameters=(Parameter("a", 0.0, -1.0, 1.0),) * 2),
-     r"^m: two parameters have the same name in \['a', 'a'\]$"),
 ])  # fmt: skip
 def test_impossible_settings_are_refused(make, message):
     with pytest.raises(ConfigError, match=message):
