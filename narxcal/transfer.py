@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import RegularGridInterpolator
 
-from narxcal.output_error.blocks import lag_step
+from narxcal.output_error.blocks import as_complex, lag_step
 from narxcal.output_error.engine import Parameter
 from narxcal.support.arrays import FloatArray
 from narxcal.support.compiled import compiled
@@ -47,16 +47,12 @@ def respond(
     `logs` (time, 1) are ln tau, (time, 2) ln xi and ln w. Without `state` the run starts in
     equilibrium. A finite value of `measured` (time,) replaces y after its sample.
     """
-    goal, p = _complex(u), np.exp(_complex(logs))
+    goal, p = as_complex(u), np.exp(as_complex(logs))
     start = (goal[0], 0j) if state is None else state
     known = np.full(len(goal), np.nan) if measured is None else measured
     run = _first if p.shape[1] == 1 else _second
     y, end = run(goal, p, (complex(start[0]), complex(start[1])), (known, dt_s))
     return (y, end) if np.iscomplexobj(logs) else (y.real.copy(), end.real.copy())
-
-
-def _complex(values: ArrayLike) -> ComplexArray:
-    return np.ascontiguousarray(values, dtype=np.complex128)
 
 
 @compiled

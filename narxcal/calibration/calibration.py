@@ -204,7 +204,8 @@ class Calibration(ABC):
         `Band` that covers this share of samples. Raises `DataError` for inputs that are not finite,
         `ModelError` as `half_width`.
         """
-        outputs = self._simulated(inputs, start)
+        given = self.delayed_inputs(self._checked(inputs))
+        outputs = self.run(given, self._steady_over(given), start)
         if interval is None:
             return outputs
         half = self.half_width(inputs, outputs, interval)
@@ -223,10 +224,6 @@ class Calibration(ABC):
                 hint="Train it again with several logs and choice_s > 0, or with validation logs",
             )
         return self.interval.at(np.abs(self.settled(inputs) - outputs), share)
-
-    def _simulated(self, inputs: ArrayLike, start: ArrayLike | None) -> FloatArray:
-        given = self.delayed_inputs(self._checked(inputs))
-        return self.run(given, self._steady_over(given), start)
 
     def run(self, inputs: FloatArray, ss: FloatArray, start: ArrayLike | None) -> FloatArray:
         """Free run over inputs as they act, of which the steady states `ss` (time, n_out) are."""

@@ -41,11 +41,11 @@ class Weights:
     @classmethod
     def of(cls, config: NarxConfig, arrays: Mapping[str, FloatArray]) -> Self:
         """Take the arrays by their names in the PyTorch module."""
-        return cls(config, *(arrays[name] for name in _NAMES))
+        return cls(config, *(arrays[name] for name in NAMES))
 
     def named(self) -> dict[str, FloatArray]:
         arrays = (self.w1, self.b1, self.w2, self.b2, self.a, self.low, self.high)
-        return dict(zip(_NAMES, arrays, strict=True))
+        return dict(zip(NAMES, arrays, strict=True))
 
     @property
     def outputs(self) -> int:
@@ -151,7 +151,7 @@ def _padded(weights: FloatArray) -> FloatArray:
     return padded
 
 
-_NAMES = (
+NAMES = (
     "hidden.weight", "hidden.bias", "output.weight", "output.bias", "linear.weight", "low", "high",
 )  # fmt: skip
 

@@ -145,7 +145,7 @@ def recursion(phi: Values, drive: Values, start: Values) -> Values:
     return _recursion(*given)
 
 
-def _complex(values: ArrayLike) -> Values:
+def as_complex(values: ArrayLike) -> Values:
     return np.ascontiguousarray(values, dtype=np.complex128)
 
 
@@ -236,7 +236,7 @@ def play(
     inputs = np.asarray(u)
     r = half_width + proportional * inputs * np.sign(inputs.real)
     first = inputs[0] if start is None else start
-    result = _play(_complex(inputs - r), _complex(inputs + r), complex(first))
+    result = _play(as_complex(inputs - r), as_complex(inputs + r), complex(first))
     return _as_given(result, inputs, r, first)
 
 

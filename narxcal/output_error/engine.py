@@ -163,7 +163,7 @@ class EngineFromFuel:
         """Outputs (time, 4) for fuel flow u (time, 1)."""
         chain = rotor_block(values).then(speeds_and_pressures(values, 2))
         system = chain.lead(values["tau_M"])
-        start = system.equilibrium(u[0]) + _state(values, _STARTS, len(system.A))
+        start = system.equilibrium(u[0]) + _shift(values, len(system.A))
         offsets = np.array([values[name] for name in ("N_HO", "N_LO", "P_TO", "P_DO")])
         return np.asarray(system.respond(u, self.dt_s, start=start) + offsets)
 
@@ -190,7 +190,7 @@ class EngineAndControl:
         fuel = LinearSystem.gain(np.eye(3)[2:])
         meter = fuel.then(flowmeter(*(values[name] for name in ("zeta", "omega", "K_SF"))))
         plant = engine.then(speeds_and_pressures(values, 3).beside(meter))
-        shift = _state(values, _STARTS, len(plant.A))
+        shift = _shift(values, len(plant.A))
         N_H, N_L, P_E, P_D, W_m = governor.respond(plant, N_c, self.dt_s, shift=shift).T
         return np.column_stack([
             values["b0"] + values["b1"] * delta_T,
@@ -334,9 +334,9 @@ def steady_drive(
     return np.hstack([values, slopes])
 
 
-def _state(values: Parameters, names: Sequence[str], size: int) -> Values:
-    """State of `size` with the named values first and zeros behind them."""
-    given = [values.get(name, 0.0) for name in names][:size]
+def _shift(values: Parameters, size: int) -> Values:
+    """How far a state of `size` begins from equilibrium: `_STARTS` first, zeros behind them."""
+    given = [values.get(name, 0.0) for name in _STARTS][:size]
     return np.array([*given, *[0.0] * (size - len(given))])
 
 

@@ -217,21 +217,14 @@ class SteadyTable:
 
 class _Grid:
     def __init__(self, axes: list[FloatArray], values: FloatArray, method: Method) -> None:
-        self._box = Envelope(
-            np.array([axis[0] for axis in axes]), np.array([axis[-1] for axis in axes])
-        )
+        ends = (np.array([axis[end] for axis in axes]) for end in (0, -1))
+        self.inside = Envelope(*ends).inside
         if method == "pchip":
             fine = _refined(axes[0])
             values = PchipInterpolator(axes[0], values, axis=0)(fine)
             axes = [fine, *axes[1:]]
         self.grid = (tuple(axes), values)
-        self._interpolate = Multilinear.of(axes, values)
-
-    def values(self, inputs: FloatArray) -> FloatArray:
-        return self._interpolate(inputs)
-
-    def inside(self, inputs: FloatArray) -> BoolArray:
-        return self._box.inside(inputs)
+        self.values = Multilinear.of(axes, values)
 
 
 class _Scatter:
