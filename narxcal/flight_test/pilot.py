@@ -42,7 +42,7 @@ from narxcal.flight_test.manoeuvres import (
     three_two_one_one,
     travel,
 )
-from narxcal.flight_test.route import Leg
+from narxcal.flight_test.route import LEGS, Leg
 from narxcal.support.arrays import FloatArray
 
 IDLE_DEG, TAKE_OFF_DEG = 0.0, 85.0
@@ -197,27 +197,7 @@ class _Setting:
     high: float
 
 
-# Chosen; climb is the Citation X paper's TLA of 50 on this scale.
-_SETTINGS = {
-    "taxi_out": _Setting(4.0, 0.0, 24.0),
-    "take_off": _Setting(80.0, 55.0, 85.0),
-    "initial_climb": _Setting(78.0, 25.0, 85.0),
-    "climb": _Setting(71.0, 12.0, 85.0),
-    "low_level": _Setting(44.0, 0.0, 85.0),
-    "climb_high": _Setting(73.0, 12.0, 85.0),
-    "cruise": _Setting(56.0, 0.0, 85.0),
-    "step_climb": _Setting(70.0, 20.0, 85.0),
-    "high_cruise": _Setting(54.0, 0.0, 85.0),
-    "descent": _Setting(5.0, 0.0, 60.0),
-    "low_descent": _Setting(13.0, 0.0, 62.0),
-    "approach": _Setting(32.0, 0.0, 85.0),
-    "go_around": _Setting(82.0, 30.0, 85.0),
-    "circuit": _Setting(38.0, 4.0, 75.0),
-    "final": _Setting(30.0, 6.0, 82.0),
-    "flare": _Setting(0.0, 0.0, 0.0),
-    "roll_out": _Setting(0.0, 0.0, 0.0),
-    "taxi_in": _Setting(4.0, 0.0, 20.0),
-}
+_SETTINGS = {name: _Setting(*leg["lever_deg"]) for name, leg in LEGS.items()}
 # Legs without manoeuvres on one engine alone, without any, and with test points.
 _TOGETHER = ("take_off", "initial_climb", "go_around", "flare", "roll_out")
 _NO_MANOEUVRES = ("flare", "roll_out")
