@@ -10,13 +10,14 @@ the C, with the same tables of numbers (`narxcal.export.parts`).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from narxcal.atmosphere import KELVIN, T0_K
-from narxcal.export.onnx_graph import OPSET, Graph, Number, clip, traced, where
+from narxcal.export.onnx_graph import Graph, Number, clip, traced, where
 from narxcal.export.parts import LAG_ROWS, Struct
 from narxcal.export.program import Program
 from narxcal.lumped import governed, limited
@@ -391,33 +392,13 @@ def _second_order(
 
 def write_onnx(program: Program, file: Path) -> int:
     """Write the model of the chosen engine; returns the size in bytes."""
-    try:
-        from onnx import TensorProto, checker, helper, numpy_helper  # noqa: PLC0415
-    except ImportError:
-        raise ModelError("ONNX is not installed", hint="pip install 'narxcal[export]'") from None
-    model = _Model(program)
+    if find_spec("onnx") is None:
+        raise ModelError("ONNX is not installed", hint="pip install 'narxcal[export]'")
+    model, states = _Model(program), max(program.states, 1)
     state, output = model.build()
-    graph = model.graph
-    for found, name in ((state, "next_state"), (output, "output")):
-        graph.nodes.append(helper.make_node("Identity", [found.name], [name]))
-    widths = {
-        "state": max(program.states, 1), "input": len(program.model.input_names),
-        "next_state": max(program.states, 1), "output": model.outputs,
-    }  # fmt: skip
-    values = {
-        name: helper.make_tensor_value_info(name, TensorProto.DOUBLE, ["batch", width])
-        for name, width in widths.items()
-    }
-    constants = [numpy_helper.from_array(array, name) for name, array in graph.constants.items()]
-    made = helper.make_graph(
-        graph.nodes, "engine", [values["state"], values["input"]],
-        [values["next_state"], values["output"]], constants,
-    )  # fmt: skip
-    proto = helper.make_model(
-        made, opset_imports=[helper.make_opsetid("", OPSET)], producer_name="narxcal", ir_version=9
-    )
-    helper.set_model_props(
-        proto,
+    data = model.graph.serialized(
+        {"state": states, "input": len(program.model.input_names)},
+        {"next_state": (state, states), "output": (output, model.outputs)},
         {
             "about": "; ".join(program.about),
             "run_sha256": program.sha256,
@@ -427,7 +408,5 @@ def write_onnx(program: Program, file: Path) -> int:
             "state": "NaN begins a run in equilibrium at the input; then pass next_state on",
         },
     )
-    checker.check_model(proto)
-    data = proto.SerializeToString()
     atomic_write_bytes(file, data)
     return len(data)
