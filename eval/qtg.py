@@ -29,7 +29,8 @@ from eval.judging.free_run import MODEL
 from eval.judging.log_evaluation import LogEvaluation, assess_log, overlay_of
 from eval.report.view import LogView
 from eval.run_logs import run_config
-from narxcal.calibration.bundle import Bundle, seal
+from narxcal.calibration.bundle import Bundle
+from narxcal.calibration.folder import seal
 from narxcal.channels import described
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, DataError, did_you_mean

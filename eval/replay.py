@@ -31,8 +31,9 @@ from narxcal.calibration.noise import MIN_SAMPLES, STORED, NoiseModel, estimate_
 from narxcal.channels import described
 from narxcal.intervals import LEVEL, LEVELS
 from narxcal.support.arrays import BoolArray, FloatArray, last_true, spans
+from narxcal.support.csv_text import TIME_FORMAT
 from narxcal.support.errors import ConfigError, DataError
-from narxcal.support.files import TIME_FORMAT, atomic_stream
+from narxcal.support.files import atomic_stream
 from narxcal.support.interrupt import held_interrupt
 from narxcal.support.settings import Section
 

@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from eval.report import plot
     from eval.results import evaluate, prepare, read, train
     from narxcal.calibration.bundle import Bundle, load_bundle, save_bundle
-    from narxcal.calibration.calibration import Calibration, DynamicCalibration
+    from narxcal.calibration.calibration import Calibration
+    from narxcal.calibration.dynamic import DynamicCalibration
     from narxcal.calibration.fuser import KalmanFuser
     from narxcal.calibration.noise import NoiseModel
     from narxcal.narx.config import NarxConfig
@@ -50,38 +51,28 @@ _MODULE_OF = {
     "Calibration": "narxcal.calibration.calibration",
     "ConfigError": "narxcal.support.errors",
     "DataError": "narxcal.support.errors",
-    "DynamicCalibration": "narxcal.calibration.calibration",
+    "DynamicCalibration": "narxcal.calibration.dynamic",
     "KalmanFuser": "narxcal.calibration.fuser",
     "ModelError": "narxcal.support.errors",
+    "Narx": "training.estimator.narx",
     "NarxConfig": "narxcal.narx.config",
     "NarxcalError": "narxcal.support.errors",
     "NoiseModel": "narxcal.calibration.noise",
     "Record": "narxcal.record",
+    "diagnose": "eval.diagnosis.diagnose",
+    "evaluate": "eval.results",
     "load_bundle": "narxcal.calibration.bundle",
+    "prepare": "eval.results",
+    "read": "eval.results",
     "save_bundle": "narxcal.calibration.bundle",
+    "train": "eval.results",
 }
-_CALLS = ("evaluate", "prepare", "read", "train")
 
 
 def __getattr__(name: str) -> object:
     """Import a public name when it is first used (PEP 562)."""
-    # The imports upwards are declared to import-linter in pyproject.toml.
-    if name == "Narx":
-        from training.estimator import narx as estimator  # noqa: PLC0415
-
-        value: object = estimator.Narx
-    elif name == "diagnose":
-        from eval.diagnosis import diagnose as home  # noqa: PLC0415
-
-        value = home.diagnose
-    elif name == "plot":
-        from eval.report import plot  # noqa: PLC0415
-
-        value = plot
-    elif name in _CALLS:
-        from eval import results  # noqa: PLC0415
-
-        value = getattr(results, name)
+    if name == "plot":
+        value: object = import_module("eval.report.plot")
     elif name in _MODULE_OF:
         value = getattr(import_module(_MODULE_OF[name]), name)
     else:

@@ -50,22 +50,18 @@ class AirState:
 
     @property
     def theta(self) -> FloatArray:
-        """Static temperature ratio."""
         return self.T_K / T0_K
 
     @property
     def delta(self) -> FloatArray:
-        """Static pressure ratio."""
         return self.P_Pa / P0_PA
 
     @property
     def theta2(self) -> FloatArray:
-        """Total temperature ratio."""
         return self.T2_K / T0_K
 
     @property
     def delta2(self) -> FloatArray:
-        """Total pressure ratio."""
         return self.P2_Pa / P0_PA
 
 

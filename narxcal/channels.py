@@ -7,8 +7,10 @@ log the physical range, too (`data_prep.log.Log.channel`).
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass
+from importlib.resources import files
 from typing import Literal
 
 from narxcal.support.errors import ConfigError, did_you_mean
@@ -87,69 +89,12 @@ _MEASURES = (
 ENDINGS = {end: unit for end, unit, _ in _MEASURES}
 _QUANTITIES = {"-": "ratio", **{unit: quantity for _, unit, quantity in _MEASURES}}
 
-# Names in use elsewhere: abbreviations of ARINC 429, AGARD and recorders, and words in full; after
-# the English ones German ("oe" or "o" for an umlaut, "s" for a sharp one), French and Spanish,
-# without accents.
+# Names in use elsewhere, as one word in capitals.
 FIELD_NAMES: dict[str, tuple[str, ...]] = {
     name: tuple("".join(each.split()).upper() for each in text.split(","))
-    for name, text in {
-        "time_s": "time, t, timestamp, utc, gmt, elapsed, elapsed time, relative time, clock, "
-        "frame time, sec, seconds, recorder time, utc time, gmt time, sample time, time stamp, "
-        "elapsed flight time, local time, lcl time, relative seconds, "
-        "zeit, uhrzeit, zeitstempel, messzeit, temps, heure, horodatage, tiempo, hora, real time",
-        "TRA_deg": "tra, tla, pla, throttle, lever, power lever, thrust lever, throttle lever, "
-        "throttle resolver angle, throttle angle, throttle lever angle, thrust lever angle, "
-        "power lever angle, throttle position, power lever position, thrust lever position, "
-        "leistungshebel, schubhebel, gashebel, leistungshebelstellung, schubhebelstellung, "
-        "manette, manette des gaz, manette puissance, palanca, palanca gases, palanca potencia",
-        "ALT_ft": "alt, altitude, hp, palt, pressure altitude, altitude press, altitude pressure, "
-        "altp, press alt, baro alt, baro altitude, alt std, altitude std, std altitude, "
-        "pressure alt, alt b, alt ind, indicated altitude, "
-        "hoehe, hohe, druckhoehe, druckhohe, flughoehe, flughohe, altitude pression, altitud, "
-        "altitud presion",
-        "Mach": "mach, mn, mach no, mach number",
-        "dT_C": "disa, delta isa, isa dev, isa deviation, dtisa",
-        "WOW": "wow, weight on wheels, air ground, gnd air, squat, squat switch, on ground, "
-        "on gnd, ground, ac on gnd, ac on ground, ground air",
-        "Approach": "approach idle, high idle, flight idle",
-        "ECS": "ecs, pack, bleed, bleed air, ecs bleed, air conditioning",
-        "NAI": "nai, eai, cai, nacelle anti ice, engine anti ice, cowl anti ice, "
-        "inlet anti ice, aie",
-        "WAI": "wai, wing anti ice, wing deice",
-        "N1_pct": "n1, nl, nf, fan, fan speed, n1 speed, lp speed, lp spool speed, lp rotor speed, "
-        "low pressure spool speed, xnl, rpm, shaft speed, rotor speed, spool speed, n1 rpm, "
-        "drehzahl, niederdruckdrehzahl, fandrehzahl, regime, regime moteur, vitesse rotation, "
-        "revoluciones, regimen",
-        "N2_pct": "n2, nh, ng, ngg, core, core speed, n2 speed, hp speed, hp spool speed, "
-        "hp rotor speed, high pressure spool speed, gas generator speed, xnh, n2 rpm, "
-        "hochdruckdrehzahl, gasgeneratordrehzahl",
-        "EGT_C": "egt, itt, tgt, tot, mgt, t45, t49, t5, tit, jpt, exhaust gas temp, "
-        "exhaust gas temperature, inter turbine temperature, interturbine temp, turbine gas temp, "
-        "turbine gas temperature, turbine outlet temperature, turbine exit, turbine exit temp, "
-        "jet pipe temperature, exhaust temp, exhaust temperature, turbine inlet temperature, "
-        "abgastemperatur, abgastemp, turbinentemperatur, temperature echappement, temperature "
-        "gaz echappement, temperatura escape, temperatura gases escape, temperatura gases",
-        "FF_kgph": "ff, wf, fmf, wfe, fflow, fuel flow, fuel mass flow, fuel flow rate, fuel rate, "
-        "kraftstofffluss, kraftstoffdurchfluss, kraftstoffdurchsatz, kraftstoffmassenstrom, "
-        "kraftstoffstrom, brennstoffdurchsatz, brennstoffstrom, debit carburant, debit "
-        "combustible, flujo combustible, caudal combustible",
-        "FN_kN": "fn, thrust, net thrust",
-        "FPR": "fpr, fan pressure ratio",
-        "EPR": "epr, engine pressure ratio",
-        "SAT_C": "sat, oat, tamb, static air temp, static air temperature, outside air temp, "
-        "outside air temperature, ambient temp, ambient temperature, air temp, t cell, t ambient, "
-        "cell temp, cell temperature, test cell temp, test cell temperature, "
-        "aussentemperatur, ausentemperatur, lufttemperatur, umgebungstemperatur, "
-        "temperature exterieure, temperature ambiante, temperatura exterior, temperatura ambiente",
-        "TAT_C": "tat, rat, total air temp, total air temperature, ram air temperature, "
-        "gesamttemperatur, temperature totale, temperatura total",
-        "CAS_kt": "cas, ias, kias, kcas, vcas, vias, airspeed, air speed, calibrated airspeed, "
-        "computed airspeed, indicated airspeed, airspeed comp, airspeed computed, "
-        "fluggeschwindigkeit, geschwindigkeit, vitesse, vitesse indiquee, vitesse air, "
-        "velocidad, velocidad indicada",
-        "TAS_kt": "tas, ktas, vtas, true airspeed, true air speed, "
-        "wahre fluggeschwindigkeit, vitesse vraie, velocidad verdadera",
-    }.items()
+    for name, text in tomllib.loads(
+        files(__package__).joinpath("field_names.toml").read_text("utf-8")
+    ).items()
 }
 
 

@@ -55,10 +55,7 @@ class Record:
         return len(self.u)
 
     def ordered(self, inputs: Sequence[str], outputs: Sequence[str]) -> Record:
-        """The record with its columns in this order; without names they are taken by position.
-
-        Raises `DataError` for a column that is missing or unknown.
-        """
+        """The record with its columns in this order; without names they are taken by position."""
         u, y = self.u, self.y
         if self.inputs and inputs:
             u = u[:, positions(self.inputs, inputs, self.name)]
@@ -251,10 +248,7 @@ def labels(values: ArrayLike) -> tuple[str, ...]:
 
 
 def positions(found: Sequence[str], names: Sequence[str], file: str | None = None) -> list[int]:
-    """Positions of `names` among the labels `found`.
-
-    Raises `DataError` for a name that is missing, unknown or there twice.
-    """
+    """Positions of `names` among the labels `found`."""
     expected = f"expected the columns {', '.join(names)}"
     for name, times in Counter(found).items():
         if name not in names:

@@ -40,7 +40,8 @@ from eval.diagnosis.learned import learned_by
 from eval.replay import ReplayModel, ReplayOptions, replay
 from eval.run_logs import evaluation_logs
 from narxcal import Narx
-from narxcal.calibration.bundle import load_bundle, seal
+from narxcal.calibration.bundle import load_bundle
+from narxcal.calibration.folder import seal
 from narxcal.cli.app import main as main_of
 from narxcal.cli.app import parse
 from narxcal.flight_test.fly import load_scenario

@@ -25,7 +25,8 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save as save_arrays
 
 from data_prep.log import Log
-from narxcal.calibration.calibration import Calibration, DynamicCalibration
+from narxcal.calibration.calibration import Calibration
+from narxcal.calibration.dynamic import DynamicCalibration
 from narxcal.calibration.identified import IdentifiedCalibration
 from narxcal.lumped.engine import LumpedEngine
 from narxcal.narx.network import NarxModel

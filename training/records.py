@@ -31,7 +31,8 @@ import numpy as np
 from data_prep.equilibrium import peak_to_peak, quasi_steady
 from data_prep.log import Log
 from data_prep.prepare import hold_inputs, with_outputs
-from narxcal.calibration.calibration import narx_features, steady_for_engine
+from narxcal.calibration.calibration import steady_for_engine
+from narxcal.calibration.dynamic import narx_features
 from narxcal.channels import spools_of
 from narxcal.lumped.engine import LumpedEngine
 from narxcal.narx.config import NarxConfig

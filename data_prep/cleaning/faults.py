@@ -20,7 +20,6 @@ from narxcal.support.arrays import (
     IntArray,
     bridge_gaps,
     noise_level,
-    percentiles,
     robust_range,
     runs,
 )
@@ -61,7 +60,7 @@ def resolution(values: FloatArray) -> float:
     """Estimate the step of a quantised channel: small among the changes that happen at all."""
     steps = np.abs(np.diff(values))
     steps = steps[steps > 0.0]
-    return percentiles(steps, 5.0)[0] if len(steps) else 0.0
+    return float(np.percentile(steps, 5.0)) if len(steps) else 0.0
 
 
 def role(name: str) -> str:

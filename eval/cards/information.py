@@ -30,7 +30,8 @@ import numpy as np
 from data_prep.prepare import with_outputs
 from eval.run_logs import run_config
 from narxcal.calibration.bundle import Bundle
-from narxcal.calibration.calibration import Calibration, DynamicCalibration
+from narxcal.calibration.calibration import Calibration
+from narxcal.calibration.dynamic import DynamicCalibration
 from narxcal.calibration.identified import EngineDynamics, IdentifiedCalibration, ResponseDynamics
 from narxcal.calibration.noise import NoiseModel, activity
 from narxcal.flight_test.moves import Limits

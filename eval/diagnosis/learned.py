@@ -19,7 +19,8 @@ from eval.diagnosis.flights import batch, record_of
 from eval.diagnosis.pairs import Pair, alike, pair_logs, simulated_log, with_known_inputs
 from eval.diagnosis.simulators import simulate_by
 from eval.run_logs import run_config
-from narxcal.calibration.bundle import DOCUMENT, Bundle, load_bundle, seal
+from narxcal.calibration.bundle import DOCUMENT, Bundle, load_bundle
+from narxcal.calibration.folder import seal
 from narxcal.effects.library import hypotheses
 from narxcal.support.errors import DataError, ModelError
 from narxcal.support.files import atomic_write_text, sha256_of, to_json

@@ -29,13 +29,9 @@ from eval.reproduce.citation_static import (
     disturbances,
 )
 from narxcal.channels import symbol
+from narxcal.state_space import Form, coordinates, from_coordinates
 from narxcal.support.arrays import FloatArray
-from narxcal.transfer import (
-    Form,
-    Schedule,
-    coordinates,
-    from_coordinates,
-)
+from narxcal.transfer import Schedule
 from narxcal.turbofan import VirtualEngine
 from training.papers.subspace import SubspaceSettings, subspace
 from training.papers.transfer_fit import (

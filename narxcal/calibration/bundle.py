@@ -22,9 +22,7 @@ an FMU) opens only with `trust`.
 
 from __future__ import annotations
 
-import hashlib
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -33,13 +31,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from safetensors import SafetensorError
-from safetensors.numpy import load as load_arrays
-from safetensors.numpy import save as save_arrays
 
 from narxcal.calibration.calibration import Calibration
 from narxcal.calibration.certificate import Certificate, certify
+from narxcal.calibration.folder import PENDING, WEIGHTS, ModelFolder, packed, seal
 from narxcal.calibration.identified import calibration_from_arrays
 from narxcal.calibration.run_record import RunRecord
 from narxcal.channels import described
@@ -51,156 +46,15 @@ from narxcal.support.files import (
     atomic_folder,
     atomic_write_bytes,
     atomic_write_text,
-    is_file,
-    is_folder,
     sha256_of,
     to_json,
     versions,
 )
 
-WEIGHTS = "weights.safetensors"
-_PENDING = "weights.safetensors.new"
-
-
-def packed(arrays: Mapping[str, NDArray[Any]]) -> tuple[bytes, dict[str, Any]]:
-    """Serialise arrays for `WEIGHTS`; returns the bytes and the document's entry `weights`.
-
-    Raises `ModelError` for what the format cannot store.
-    """
-    for name, array in arrays.items():
-        if name == "__metadata__":
-            raise ModelError(f"array name '{name}' is the format's own")
-        if array.dtype.kind not in "biuf":
-            raise ModelError(f"array '{name}' of type {array.dtype} cannot be stored in a bundle")
-    data = save_arrays({name: np.array(array, order="C") for name, array in arrays.items()})
-    sha256 = hashlib.sha256(data).hexdigest()
-    return data, {"file": WEIGHTS, "sha256": sha256, "arrays": _shapes(arrays)}
-
-
-def seal(part: Mapping[str, Any]) -> str:
-    """SHA-256 of JSON-able values in canonical form: keys sorted, ASCII."""
-    text = json.dumps(part, sort_keys=True, allow_nan=False)
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
-@dataclass(frozen=True)
-class ModelFolder:
-    """One kind of model folder: a JSON document and one file of arrays, with the words of errors.
-
-    `schemas` are those that can be read, the one that is written first. `what` names the folder,
-    `made_by` its writer, and `again` says what to do where it is damaged.
-    """
-
-    what: str
-    document: str
-    schemas: tuple[str, ...]
-    made_by: str
-    again: str
-
-    def read_document(self, source: Path) -> dict[str, Any]:
-        """Read the document; raises `ModelError` for a folder of something else."""
-        hint = f"Name the folder that {self.made_by} wrote"
-        if not is_folder(source):
-            if is_file(source):
-                problem = f"a {self.what} is a folder, and this is a file"
-                raise ModelError(problem, file=source, hint=hint)
-            problem = f"the {self.what} folder does not exist"
-            raise ModelError(problem, file=source, hint="Train one first")
-        file = source / self.document
-        if not is_file(file):
-            raise ModelError(
-                f"the folder holds no {self.document}, so it is no {self.what}",
-                file=source,
-                hint=hint,
-            )
-        try:
-            found = json.loads(file.read_bytes().decode("utf-8"), parse_constant=_no_number)
-        except OSError as error:
-            raise ModelError(f"cannot be read: {error.strerror}", file=file) from None
-        except (ValueError, RecursionError) as error:
-            raise ModelError(f"not JSON: {error}", file=file, hint=self.again) from None
-        schema = found.get("schema") if isinstance(found, dict) else None
-        if schema not in self.schemas:
-            raise ModelError(
-                f"unknown schema {schema!r}, expected {self.schemas[0]!r}",
-                file=file,
-                hint="Train it anew, or read it with the version of narxcal that wrote it",
-            )
-        return dict(found)
-
-    def part(self, source: Path, document: Mapping[str, Any], key: str) -> dict[str, Any]:
-        """A part of the document; `ModelError` where it is missing."""
-        part = document.get(key)
-        if not isinstance(part, dict):
-            raise ModelError(f"'{key}' is missing", file=source / self.document, hint=self.again)
-        return part
-
-    def read_arrays(self, source: Path, document: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
-        """Read the arrays by name; `ModelError` unless they are those of the document."""
-        entry = self.part(source, document, "weights")
-        data = self._weights(source, str(entry.get("sha256")))
-        file = source / WEIGHTS
-        try:
-            arrays = load_arrays(data)
-        except (SafetensorError, ValueError, KeyError) as error:
-            raise ModelError(f"not safetensors: {error}", file=file, hint=self.again) from None
-        self._check_shapes(source / self.document, _shapes(arrays), entry.get("arrays"))
-        return arrays
-
-    def _weights(self, source: Path, expected: str) -> bytes:
-        """The file with the expected hash; a writer killed at its end leaves it as `_PENDING`."""
-        file = source / WEIGHTS
-        found = {each: each.read_bytes() for each in (file, source / _PENDING) if each.is_file()}
-        for data in found.values():
-            if hashlib.sha256(data).hexdigest() == expected:
-                return data
-        if file not in found:
-            raise ModelError("the weights are missing", file=file, hint=self.again)
-        raise ModelError(
-            "the weights were altered or cut off: sha256 is "
-            f"{hashlib.sha256(found[file]).hexdigest()[:12]}, "
-            f"{self.document} says {expected[:12]}",
-            file=file,
-            hint=self.again,
-        )
-
-    def _check_shapes(self, file: Path, found: Mapping[str, Any], expected: Any) -> None:
-        if found == expected:
-            return
-        listed = expected if isinstance(expected, Mapping) else {}
-        for name in sorted({*found, *listed}):
-            if found.get(name) != listed.get(name):
-                raise ModelError(
-                    f"array '{name}' is {_shape_text(found.get(name))} in {WEIGHTS}, "
-                    f"and {_shape_text(listed.get(name))} here",
-                    file=file,
-                    hint=self.again,
-                )
-        raise ModelError("the list of arrays is missing", file=file, hint=self.again)
-
-
-def _no_number(text: str) -> float:
-    raise ValueError(f"{text} is no number in JSON")
-
-
-def _shapes(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
-    return {
-        name: {"dtype": str(array.dtype), "shape": list(array.shape)}
-        for name, array in sorted(arrays.items())
-    }
-
-
-def _shape_text(entry: Any) -> str:
-    if not isinstance(entry, Mapping):
-        return "missing"
-    shape = entry.get("shape")
-    return f"{entry.get('dtype')} {tuple(shape) if isinstance(shape, list) else shape}"
-
-
 SCHEMA = "narxcal.bundle/2"
 DOCUMENT = "bundle.json"
 STEADY_FILES = "steady"
-_CONTENT = Results("narxcal.bundle/", DOCUMENT, (WEIGHTS, _PENDING, f"{STEADY_FILES}/*"))
+_CONTENT = Results("narxcal.bundle/", DOCUMENT, (WEIGHTS, PENDING, f"{STEADY_FILES}/*"))
 _OURS = ("schema", "sha256", "dt_s", "channels", "units", "weights", "files", "calibration")
 _FORM = ModelFolder(
     what="bundle",
@@ -252,25 +106,26 @@ def write_bundle(folder: str | PathLike[str], bundle: Bundle) -> None:
     if taken:
         raise ModelError(f"the run's record may not hold '{taken[0]}', which the bundle writes")
     parts = {
+        "schema": SCHEMA,
         "dt_s": float(bundle.calibration.dt_s),
         **_channels(bundle.calibration),
         "weights": entry,
-        "calibration": meta,
+        "calibration": _plain(meta, finite=True),
         "versions": versions(),
         **record,
     }
-    document = _plain({"schema": SCHEMA, **parts}, "bundle")
+    document = _plain(parts, finite=False)
     document["files"] = _copied_files(target / STEADY_FILES, bundle.calibration.steady)
     text = to_json({"schema": SCHEMA, "sha256": seal(document), **document})
-    atomic_write_bytes(target / _PENDING, weights)
+    atomic_write_bytes(target / PENDING, weights)
     atomic_write_text(target / DOCUMENT, text)
-    (target / _PENDING).replace(target / WEIGHTS)
+    (target / PENDING).replace(target / WEIGHTS)
 
 
 def settle_bundle(folder: str | PathLike[str]) -> None:
     """Do what a writer that was killed at its end did no more; the bundle reads as before."""
     source = Path(folder)
-    pending = source / _PENDING
+    pending = source / PENDING
     if not pending.is_file():
         return
     if sha256_of(pending) == _FORM.read_document(source).get("weights", {}).get("sha256"):
@@ -280,10 +135,7 @@ def settle_bundle(folder: str | PathLike[str]) -> None:
 
 
 def check_bundle(folder: str | PathLike[str]) -> RunRecord:
-    """Check a bundle against its own hashes, without opening its model; returns its record.
-
-    Raises `ModelError` as `load_bundle`.
-    """
+    """Check a bundle against its own hashes, without opening its model; returns its record."""
     source = Path(folder)
     document = read_document(source)
     _FORM.read_arrays(source, document)
@@ -425,24 +277,23 @@ def _check_file(source: Path, listed: str, sha256: Any) -> None:
         )
 
 
-def _plain(value: Any, where: str) -> Any:
+def _plain(value: Any, *, finite: bool) -> Any:
     """Turn what NumPy, pathlib and tuples hold into JSON.
 
-    A number that is not finite becomes null, except in the calibration, which must come back
-    as it was.
+    A number that is not finite becomes null, or with `finite` a `ModelError`.
     """
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item, f"{where}.{key}") for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item, where) for item in value]
+    try:
+        text = json.dumps(value, default=_as_json, allow_nan=not finite)
+    except ValueError:
+        raise ModelError(
+            "the calibration holds a number that JSON cannot", hint="Store it as array"
+        ) from None
+    return json.loads(text, parse_constant=lambda _: None)
+
+
+def _as_json(value: object) -> Any:
     if isinstance(value, (np.ndarray, np.generic)):
-        return _plain(value.tolist(), where)
+        return value.tolist()
     if isinstance(value, Path):
         return str(value)
-    if isinstance(value, float) and not math.isfinite(value):
-        if not where.startswith("bundle.calibration"):
-            return None
-        raise ModelError(f"{where} is {value}, which JSON cannot hold", hint="Store it as array")
-    if value is None or isinstance(value, (bool, int, float, str)):
-        return value
-    raise ModelError(f"{where} of type {type(value).__name__} cannot be stored in a bundle")
+    raise ModelError(f"a value of type {type(value).__name__} cannot be stored in a bundle")

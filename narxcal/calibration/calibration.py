@@ -1,22 +1,9 @@
-"""A dynamic model behind a steady state (`Calibration`), and the one with a NARX network.
-
-Source: the calibration paper, section 2.1 and figure 1.
-
-    d(k) = ss(k) - y(k)
-    d(k) = NARX( d(k-1).., ss(k) - ss(k-1).., schedule(k).. )
-    y(k) = ss(k) - d(k)
-
-| symbol | meaning |
-|---|---|
-| ss, y | outputs of the steady-state model, outputs |
-| d | deviation; with a lumped engine (`narxcal.lumped`) the sum of its own and the network's |
-| schedule | the steady-state values themselves and the flight condition |
-"""
+"""A dynamic model behind a steady state: what every calibration does over time."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from copy import copy
 from typing import Any, Protocol, Self, overload
 
@@ -25,25 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from narxcal.calibration.delay import DelayLine, TransportDelay
 from narxcal.calibration.members import Member, Members, MembersState
-from narxcal.calibration.register import Parts, Register, Sample, stacked
 from narxcal.channels import described
 from narxcal.intervals import Band, HalfWidths
-from narxcal.lumped.engine import LumpedEngine
-from narxcal.narx.network import AT_START, NarxModel
 from narxcal.record import by_name
-from narxcal.steady.model import (
-    ALTERED,
-    Envelope,
-    SteadyStateModel,
-)
-from narxcal.steady.opening import steady_from_json, steady_to_json
+from narxcal.steady.model import ALTERED, Envelope, SteadyStateModel
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, DataError, ModelError
-
-_ROUNDING = 1e-9  # of weights that sum to one
-# Bounds may be infinite: an input without a range, an output without a clamp.
-_UNBOUNDED = ("narx/low", "narx/high", "steady/low", "steady/high")
-
 
 _DIFFERENCE = 1e-4  # of a state, by which the step is linearised
 _BLOCK = 2**16  # rows at a time, so that a flight of days takes little more memory than its results
@@ -128,10 +102,7 @@ class Calibration(ABC):
         return self._with(interval=interval)
 
     def with_delay(self, delay: TransportDelay | None) -> Self:
-        """The calibration with inputs that act late, in every model of the mixture.
-
-        Raises `ModelError` for a channel that is no input.
-        """
+        """The calibration with inputs that act late, in every model of the mixture."""
         for name in () if delay is None else delay.channels:
             if name not in self.input_names:
                 raise ModelError(
@@ -152,7 +123,7 @@ class Calibration(ABC):
 
     def _steady_over(self, given: FloatArray) -> FloatArray:
         """Steady states (time, n_out) at inputs as they act."""
-        parts = [self.steady.outputs(given[rows]) for rows in _blocks(len(given))]
+        parts = [self.steady.outputs(given[rows]) for rows in blocks(len(given))]
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     def own_alone(self) -> Self:
@@ -160,7 +131,6 @@ class Calibration(ABC):
         return self.with_members(())
 
     def with_steady(self, steady: SteadyStateModel) -> Self:
-        """The calibration with another steady-state model of the same inputs and outputs."""
         return self._with(steady=steady)
 
     def with_input_limits(self, low: ArrayLike, high: ArrayLike) -> Self:
@@ -189,12 +159,10 @@ class Calibration(ABC):
 
     @property
     def input_names(self) -> tuple[str, ...]:
-        """Channels that `simulate` and `step` take, in this order."""
         return self.steady.input_names
 
     @property
     def output_names(self) -> tuple[str, ...]:
-        """Channels that they return, in this order."""
         return self.steady.output_names
 
     @property
@@ -236,7 +204,8 @@ class Calibration(ABC):
         `Band` that covers this share of samples. Raises `DataError` for inputs that are not finite,
         `ModelError` as `half_width`.
         """
-        outputs = self._simulated(inputs, start)
+        given = self.delayed_inputs(self._checked(inputs))
+        outputs = self.run(given, self._steady_over(given), start)
         if interval is None:
             return outputs
         half = self.half_width(inputs, outputs, interval)
@@ -256,17 +225,13 @@ class Calibration(ABC):
             )
         return self.interval.at(np.abs(self.settled(inputs) - outputs), share)
 
-    def _simulated(self, inputs: ArrayLike, start: ArrayLike | None) -> FloatArray:
-        given = self.delayed_inputs(self._checked(inputs))
-        return self.run(given, self._steady_over(given), start)
-
     def run(self, inputs: FloatArray, ss: FloatArray, start: ArrayLike | None) -> FloatArray:
         """Free run over inputs as they act, of which the steady states `ss` (time, n_out) are."""
         first = self._first_deviation(ss[0], start)
         running = self._started(inputs[0], ss[0], first)
         outputs: FloatArray = np.array(ss)
         outputs[0] -= first
-        for rows in _blocks(len(inputs), 1):
+        for rows in blocks(len(inputs), 1):
             outputs[rows] -= running.advance(inputs[rows], ss[rows])
         if self.members.members:
             later = self.members.started(ss[0], outputs[0]).advance(ss[1:])
@@ -391,230 +356,11 @@ class Calibration(ABC):
         return np.where((given >= low) & (given <= high), ss - given, 0.0)
 
 
-class DynamicCalibration(Calibration):
-    """Steady-state model, lags and NARX network.
-
-    `settle_s` is the fading bound: the network's deviation may not be larger than twice that of a
-    first-order lag of this time constant, so that it never outlives the movement that caused it. It
-    needs a network whose outputs vanish in equilibrium (an anchored one); None means none.
-    `with_lag` puts lags in front of the network, of whose own deviation an output takes the share
-    `network_share` (n_out,): between 0, the lags alone, and 1, which None stands for.
-    """
-
-    def __init__(
-        self,
-        steady: SteadyStateModel,
-        narx: NarxModel,
-        dt_s: float,
-        schedule: Sequence[str] = (),
-        settle_s: float | None = None,
-    ) -> None:
-        unknown = [name for name in schedule if name not in steady.input_names]
-        if unknown:
-            raise ModelError(
-                f"the schedule names '{unknown[0]}', which is no input of the steady-state model",
-                hint=f"Inputs are {', '.join(steady.input_names)}",
-            )
-        super().__init__(steady, dt_s)
-        self.narx = narx
-        self.schedule = tuple(schedule)
-        self.settle_s = settle_s
-        self._columns = [steady.input_names.index(name) for name in schedule]
-        self.lag: LumpedEngine | None = None
-        self.network_share: FloatArray | None = None
-
-    @property
-    def words(self) -> str:
-        """Lags and hidden units of the network."""
-        return f"NARX, lags {self.narx.config.lags}, hidden units {self.narx.config.hidden}"
-
-    @property
-    def size(self) -> int:
-        """Weights of the network, and what the lags have that is not zero."""
-        lag = 0 if self.lag is None else np.count_nonzero(self.lag.theta)
-        return int(self.narx.weights.theta.size + lag)
-
-    def with_lag(self, lag: LumpedEngine | None) -> Self:
-        """The calibration with `lag` in front of a network that was trained for that."""
-        if lag is not None and lag.output_names != self.output_names:
-            raise ModelError(
-                f"the lags are those of {', '.join(lag.output_names)}, "
-                f"the steady-state model's outputs {', '.join(self.output_names)}"
-            )
-        return self._with(lag=lag)
-
-    def with_decay(self, settle_s: float) -> Self:
-        """The calibration with a decay bound of this time constant; the network is anchored."""
-        return self._with(settle_s=settle_s)
-
-    def with_network_share(self, share: ArrayLike | None) -> Self:
-        """The calibration with this share (n_out,) of the network's deviation; None means all.
-
-        Raises `ModelError` unless there are lags, and a share between 0 and 1 for each output.
-        """
-        if share is None:
-            return self._with(network_share=None, interval=None)
-        shares = np.asarray(share, dtype=np.float64)
-        fits = self.lag is not None and shares.shape == (len(self.output_names),)
-        if not fits or not ((shares >= 0.0) & (shares <= 1.0)).all():
-            raise ModelError("'network_share' is no share for each output", hint=ALTERED)
-        return self._with(network_share=shares, interval=None)
-
-    def own_alone(self) -> Self:
-        """The calibration with its own model alone, and all of the network's deviation."""
-        return super().own_alone().with_network_share(None)
-
-    def _prediction(self, given: FloatArray, ss: FloatArray, known: FloatArray) -> FloatArray:
-        """With lags in front of the network, the network's own share is that of the free run."""
-        if self.lag is None:
-            features = narx_features(ss, given[:, self._columns])
-            return np.asarray(ss - self.narx.predict(features, ss - known))
-        first = np.nan_to_num(ss[0] - known[0])
-        running = self._started(given[0], ss[0], first)
-        state = alone = self.lag.start(first)
-        last, found = first[None], np.full_like(ss, np.nan)
-        for block in _blocks(len(ss), 1):
-            # The states are those of the row before.
-            rows = slice(block.start - 1, block.stop)
-            free = np.concatenate([last, running.advance(given[block], ss[block])])
-            drive = self.lag.drive(given[rows], self.input_names, ss[rows])
-            lags, alone = self.lag.run(drive, (AT_START, alone[None]), self.dt_s)
-            share, last = free - lags, free[-1:]
-            own = ss[rows] - known[rows] - share
-            lags, state = self.lag.run(drive, (AT_START, state[None]), self.dt_s, own)
-            found[block] = (ss[rows] - lags - share)[1:]
-        found[1:][np.isnan(known[:-1]).any(axis=1)] = np.nan
-        return found
-
-    def bounds(self) -> tuple[FloatArray, FloatArray]:
-        """Guaranteed (low, high) of the deviation of each output, in the outputs' units."""
-        low, high = self.narx.bounds
-        if self.lag is None:
-            return low, high
-        return low - self.lag.limit, high + self.lag.limit
-
-    def _decay(self) -> FloatArray:
-        """The pole of the network's decay bound."""
-        if self.settle_s is None:
-            return np.empty(0)
-        return np.array([np.exp(-self.dt_s / self.settle_s)])
-
-    def to_arrays(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        """Split into JSON-able structure and named arrays, for the bundle."""
-        narx, narx_arrays = self.narx.to_arrays()
-        steady, steady_arrays = steady_to_json(self.steady)
-        arrays = {f"narx/{name}": value for name, value in narx_arrays.items()}
-        arrays |= {f"steady/{name}": value for name, value in steady_arrays.items()}
-        lag_meta = None
-        if self.lag is not None:
-            lag_meta, lag_arrays = self.lag.to_arrays()
-            arrays |= {f"lag/{name}": value for name, value in lag_arrays.items()}
-        meta = {
-            "dt_s": self.dt_s,
-            "schedule": list(self.schedule),
-            "settle_s": self.settle_s,
-            "narx": narx,
-            "steady": steady,
-            "lag": lag_meta,
-        }
-        meta |= self._common_rows()
-        if self.members.members:
-            meta["members"] = [one.to_json() for one in self.members.members]
-        if self.network_share is not None:
-            meta["network_share"] = self.network_share.tolist()
-        return meta, arrays
-
-    @classmethod
-    def from_arrays(
-        cls,
-        meta: Mapping[str, Any],
-        arrays: Mapping[str, NDArray[Any]],
-        *,
-        trust: bool = False,
-    ) -> Self:
-        """Rebuild from `to_arrays`; `trust` as in `steady_from_json`.
-
-        Raises `ModelError` where the parts do not fit each other, or a number is not finite.
-        """
-        part: dict[str, dict[str, NDArray[Any]]] = {"narx": {}, "steady": {}, "lag": {}}
-        for name, value in arrays.items():
-            unusable = np.isnan if name in _UNBOUNDED else lambda each: ~np.isfinite(each)
-            if unusable(value).any():
-                raise ModelError(f"array '{name}' has a number that is not finite", hint=ALTERED)
-            room, _, rest = name.partition("/")
-            if room in part:
-                part[room][rest] = value
-        try:
-            narx = NarxModel.from_arrays(meta["narx"], part["narx"])
-            steady = steady_from_json(meta["steady"], part["steady"], trust=trust)
-            settle_s = meta["settle_s"]
-            loaded = cls(steady, narx, float(meta["dt_s"]), meta["schedule"], settle_s)
-            lag = meta.get("lag")
-            if lag is not None:
-                loaded = loaded.with_lag(LumpedEngine.from_arrays(lag, part["lag"]))
-            loaded = loaded.with_members([Member.from_json(one) for one in meta.get("members", ())])
-            if meta.get("network_share") is not None:
-                loaded = loaded.with_network_share(meta["network_share"])
-        except KeyError as error:
-            raise ModelError(f"the stored calibration has no {error}", hint=ALTERED) from None
-        loaded.check()
-        return loaded
-
-    def check(self) -> None:
-        """Raise `ModelError` for parts that do not fit each other."""
-        count = len(self.output_names)
-        features = (2 if self.lag is None else 3) * count + len(self.schedule)
-        if (self.narx.inputs, self.narx.outputs) != (features, count):
-            raise ModelError(
-                f"expected a network of {features} inputs and {count} outputs, "
-                f"found one of {self.narx.inputs} and {self.narx.outputs}",
-                hint=ALTERED,
-            )
-        shares = np.zeros(count)
-        for one in self.members.members:
-            if not one.fits(count):
-                raise ModelError("a member of the mixture does not fit the outputs", hint=ALTERED)
-            shares[one.channel] += one.weight
-        if (shares > 1.0 + _ROUNDING).any():
-            raise ModelError("the weights of the mixture exceed one", hint=ALTERED)
-        times: dict[str, Any] = {"dt_s": self.dt_s}
-        if self.settle_s is not None:
-            times["settle_s"] = self.settle_s
-        for name, value in times.items():
-            number = isinstance(value, int | float) and not isinstance(value, bool)
-            if not number or not 0.0 < value < np.inf:
-                raise ModelError(f"'{name}' has to be positive, found {value}", hint=ALTERED)
-
-    def _started(self, inputs: FloatArray, ss: FloatArray, deviation: FloatArray) -> Register:
-        parts = Parts(
-            self.narx,
-            self.lag,
-            self.dt_s,
-            self.settle_s,
-            self.input_names,
-            self._columns,
-            self.network_share,
-        )
-        return Register(parts, Sample(inputs, ss, deviation))
-
-
-def _blocks(rows: int, first: int = 0) -> list[slice]:
+def blocks(rows: int, first: int = 0) -> list[slice]:
     return [slice(start, min(start + _BLOCK, rows)) for start in range(first, rows, _BLOCK)]
 
 
-def narx_features(
-    ss: FloatArray, schedule: FloatArray, lagged: FloatArray | None = None
-) -> FloatArray:
-    """Stack increments of `ss` (time, n_out), `ss` itself and the flight condition.
-
-    The deviation of lags in front of the network, where there are any, follows the increments.
-    """
-    shown = np.empty((len(ss), 0)) if lagged is None else lagged
-    return stacked(np.diff(ss, axis=0, prepend=ss[:1]), shown, ss, schedule)
-
-
 def steady_for_engine(steady: SteadyStateModel, engine: str) -> SteadyStateModel:
-    """The steady-state model of one engine, where it distinguishes engines."""
     chooser = getattr(steady, "for_engine", None)
     chosen: SteadyStateModel = steady if chooser is None else chooser(engine)
     return chosen

@@ -2,7 +2,7 @@
 
 | form | settles |
 |---|---|
-| lags, limited or governed | by construction (`narxcal.lumped.rotors`) |
+| lags, limited or governed | by construction (`narxcal.lumped`) |
 | network behind lags | by its decay bound (`settle_s`) |
 | response of first or second order | by construction: exp(...) are times, damping, frequency |
 | steady state, first-order lag | by construction |
@@ -21,14 +21,15 @@ own.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import product
 from typing import Annotated, Any, Final
 
 import numpy as np
 from pydantic import BeforeValidator
 
-from narxcal.calibration.calibration import Calibration, DynamicCalibration
+from narxcal.calibration.calibration import Calibration
+from narxcal.calibration.dynamic import DynamicCalibration
 from narxcal.calibration.members import Member
 from narxcal.channels import CHANNELS
 from narxcal.steady.model import ALTERED, Envelope, envelope_of
@@ -84,7 +85,6 @@ class Certificate:
 
     @property
     def words(self) -> str:
-        """One sentence."""
         if self.settled:
             return (
                 f"settles at constant inputs: {self.points} points held {self.hold_s:.0f} s, "
@@ -102,19 +102,8 @@ class Certificate:
         return f"is unstable at {where}: a pole of {self.pole:.6f} per sample"
 
     def row(self) -> dict[str, Any]:
-        slowest_s = self.slowest_s
-        return {
-            "settled": self.settled,
-            "pole": self.pole,
-            "pole_at": dict(self.pole_at),
-            "slowest_s": slowest_s if np.isfinite(slowest_s) else None,
-            "hold_s": self.hold_s,
-            "points": self.points,
-            "swing": dict(self.swing),
-            "offset": dict(self.offset),
-            "at": dict(self.at),
-            "dt_s": self.dt_s,
-        }
+        slowest_s = self.slowest_s if np.isfinite(self.slowest_s) else None
+        return {"settled": self.settled, "slowest_s": slowest_s, **asdict(self)}
 
 
 def certify(model: Calibration) -> Certificate:
@@ -170,10 +159,7 @@ def settling(
 def _held(
     model: Calibration, points: FloatArray, ss: FloatArray, hold_s: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Swing and offset (points, n_out) at the ends of stays; the run begins far from equilibrium.
-
-    What is not finite counts as infinite.
-    """
+    """Swing and offset (points, n_out) at the ends of stays; what is not finite is infinite."""
     steps = max(round(hold_s / model.dt_s), 12)
     order = np.repeat(np.arange(len(points)), steps)
     far = ss[0] + 0.5 * np.ptp(ss, axis=0)

@@ -39,7 +39,6 @@ class TransportDelay:
         return DelayLine(self.delay_s / dt_s, columns, first)
 
     def late(self, values: FloatArray, dt_s: float) -> FloatArray:
-        """The delayed values (time, n) of (time, n)."""
         columns = np.arange(values.shape[1])
         return DelayLine(self.delay_s / dt_s, columns, values[0]).advance(values)
 

@@ -88,7 +88,7 @@ class FusedRun:
             used=int(self.used[0]),
         )
 
-    def consistency(self, probability: float = 0.95) -> Consistency:
+    def consistency(self) -> Consistency:
         """Check the normalised innovation squared over the whole run by its distribution.
 
         Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation,
@@ -99,26 +99,20 @@ class FusedRun:
         dof = int(self.used[1:].sum())
         if dof == 0:
             raise DataError("the consistency of a fuser cannot be checked: nothing was measured")
-        tail = 0.5 * (1.0 - probability)
-        low, high = (chi2_quantile(part, dof) / dof for part in (tail, 1.0 - tail))
+        low, high = (chi2_quantile(part, dof) / dof for part in (0.025, 0.975))
         mean = float(np.nansum(self.nis[1:])) / dof
         return Consistency(mean, low, high, dof, int(self.gated.sum()))
 
 
 @dataclass(frozen=True)
 class Consistency:
-    """Mean NIS per measurement, which a correct filter keeps within `low` and `high`."""
+    """Mean NIS per measurement, which 95 % of correct filters have within `low` and `high`."""
 
     mean_nis: float
     low: float
     high: float
     measurements: int
     gated: int
-
-    @property
-    def consistent(self) -> bool:
-        """Whether R and Q describe the innovations; above `high` they are too small."""
-        return self.low <= self.mean_nis <= self.high
 
 
 class Fuser(ABC):
@@ -142,10 +136,7 @@ class Fuser(ABC):
         return self.run(*self._sample(prediction, measurement)).first
 
     def step(self, prediction: FloatArray, measurement: FloatArray) -> FusedStep:
-        """Fuse the next sample.
-
-        Raises `ModelError` before the first `reset` and where the prediction is not finite.
-        """
+        """Fuse the next sample."""
         return self.extend(*self._sample(prediction, measurement)).first
 
     def run(self, predictions: FloatArray, measurements: FloatArray) -> FusedRun:

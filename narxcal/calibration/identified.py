@@ -27,15 +27,17 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from narxcal.calibration.calibration import Calibration, DynamicCalibration, Running
+from narxcal.calibration.calibration import Calibration, Running
 from narxcal.calibration.delay import TransportDelay
+from narxcal.calibration.dynamic import DynamicCalibration
 from narxcal.intervals import HalfWidths
 from narxcal.output_error.engine import STEADY_OUTPUTS, EngineFromSteady, steady_drive
+from narxcal.state_space import StateSpace
 from narxcal.steady.model import ALTERED, SteadyStateModel
 from narxcal.steady.opening import steady_from_json, steady_to_json
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ModelError, NarxcalError
-from narxcal.transfer import Schedule, StateSpace, respond
+from narxcal.transfer import Schedule, respond
 
 
 class Dynamics(ABC):
@@ -54,10 +56,7 @@ class Dynamics(ABC):
         """Describe the model."""
 
     def drive(self, steady: SteadyStateModel, inputs: FloatArray, ss: FloatArray) -> FloatArray:
-        """Drive (time, columns) from inputs (time, n_in) and steady states (time, n_out).
-
-        The steady states themselves unless a model needs more.
-        """
+        """Drive (time, columns) from inputs (time, n_in) and steady states (time, n_out)."""
         del steady, inputs
         return ss
 
@@ -95,7 +94,6 @@ class NoDynamics(Dynamics):
     def run(
         self, state: FloatArray, drive: FloatArray, measured: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the steady states; a measurement changes nothing."""
         del measured
         return drive, state
 
@@ -130,7 +128,6 @@ class EngineDynamics(Dynamics):
 
     @property
     def words(self) -> str:
-        """Time constants at the reference speed."""
         shown = ", ".join(f"{name} {self.values[name]:.2f} s" for name in ("tau_H", "tau_L"))
         return f"output error, {shown}"
 
@@ -140,7 +137,6 @@ class EngineDynamics(Dynamics):
         return np.hstack([own, np.delete(ss, self.order, axis=1)])
 
     def equilibrium(self, drive: FloatArray) -> FloatArray:
-        """Steady N_H, N_L, T."""
         return drive[:3]
 
     def run(
@@ -303,7 +299,6 @@ class IdentifiedCalibration(Calibration):
         return started
 
     def _prediction(self, given: FloatArray, ss: FloatArray, known: FloatArray) -> FloatArray:
-        """One-step prediction from measured outputs `known`."""
         drive = self.dynamics.drive(self.steady, given, ss)
         found, _ = self.dynamics.run(self.dynamics.equilibrium(drive[0]), drive, known)
         unknown = np.ones(len(found), dtype=np.bool_)
@@ -366,25 +361,10 @@ class _Running:
         return np.asarray(ss - outputs[1:])
 
 
-_PARTS = {
-    "dt_s", "steady", "reach", "interval", "delay", "dynamics",
-    "schedule", "settle_s", "narx", "lag", "members", "network_share",
-}  # fmt: skip
-
-
 def calibration_from_arrays(
     meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]], *, trust: bool = False
 ) -> Calibration:
-    """Rebuild a calibration of any kind from its `to_arrays`.
-
-    Raises `ModelError` for a part that this version does not know: without it the model is another.
-    """
-    unknown = sorted(set(meta) - _PARTS)
-    if unknown:
-        raise ModelError(
-            f"the stored calibration has '{unknown[0]}', expected {', '.join(sorted(_PARTS))}",
-            hint="Train it anew, or read it with the version of narxcal that wrote it",
-        )
+    """Rebuild a calibration of any kind from its `to_arrays`."""
     found: Calibration
     if "dynamics" in meta:
         found = IdentifiedCalibration.from_arrays(meta, arrays, trust=trust)

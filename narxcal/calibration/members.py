@@ -65,10 +65,7 @@ class Member:
 
     @classmethod
     def from_json(cls, stored: Mapping[str, Any]) -> Self:
-        """Inverse of `to_json`; `ModelError` for a kind that is none or a number that is none.
-
-        A member of an older version has no weight: it stands for its output alone.
-        """
+        """Inverse of `to_json`; `ModelError` for a kind that is none or a number that is none."""
         return read_stored(cls, stored, "members")
 
     def fits(self, outputs: int) -> bool:
@@ -96,10 +93,7 @@ class Members:
     members: tuple[Member, ...] = ()
 
     def started(self, ss: FloatArray, first: FloatArray) -> MembersState:
-        """State at a sample with steady-state values `ss` (n_out,) and outputs `first` (n_out,).
-
-        The past was constant, as in a free run from equilibrium.
-        """
+        """State at a sample with steady-state values `ss` (n_out,) and outputs `first` (n_out,)."""
         depth = max((len(one.poles) for one in self.members), default=0)
         depth = max(depth, 1)
         channels = [one.channel for one in self.members]
@@ -124,22 +118,8 @@ class Members:
 
     def predict(self, ss: FloatArray, measured: FloatArray) -> FloatArray:
         """One step ahead (time, members) from `measured` (time, n_out); NaN where unknown."""
-        found = np.full((len(ss), len(self.members)), np.nan)
-        for m, one in enumerate(self.members):
-            y, own = measured[:, one.channel], ss[:, one.channel]
-            if one.kind == "first_order":
-                ahead = own[1:] - y[:-1]
-                found[1:, m] = y[:-1] + np.where(ahead > 0.0, one.push, one.pull) * ahead
-            elif one.kind == "steady_state":
-                found[1:, m] = own[1:]
-            else:
-                rows = np.arange(1, len(ss))
-                found[1:, m] = one.offset
-                for i, pole in enumerate(one.poles):
-                    found[1:, m] += pole * y[np.maximum(rows - 1 - i, 0)]
-                for i, gain in enumerate(one.gains):
-                    found[1:, m] += ss[np.maximum(rows - i, 0)] @ np.array(gain)
-        return found
+        ahead = self.started(ss[0], measured[0]).advance(ss[1:], measured[1:])
+        return np.concatenate([np.full((1, len(self.members)), np.nan), ahead])
 
     @cached_property
     def packed(self) -> _Packed:
@@ -180,19 +160,25 @@ class MembersState:
             if np.isfinite(outputs[one.channel]):
                 self.past[m, 0] = outputs[one.channel]
 
-    def advance(self, ss: FloatArray) -> FloatArray:
-        """Outputs (n, members) at the next samples, with steady-state values `ss` (n, n_out)."""
+    def advance(self, ss: FloatArray, measured: FloatArray | None = None) -> FloatArray:
+        """Outputs (n, members) at the next samples, with steady-state values `ss` (n, n_out).
+
+        `measured` (n, n_out) replaces the outputs after each sample, NaN included.
+        """
         if not len(self.model.members) or not len(ss):
             return np.empty((len(ss), len(self.model.members)))
         depth = len(self.drive)
         rows = np.concatenate([self.drive[::-1], ss])
-        found = _advance(self.model.packed, self.past, rows)
+        known = np.empty((0, ss.shape[1])) if measured is None else measured
+        found = _advance(self.model.packed, self.past, rows, known)
         self.drive = rows[::-1][:depth].copy()
         return found
 
 
 @compiled
-def _advance(packed: _Packed, past: FloatArray, rows: FloatArray) -> FloatArray:
+def _advance(
+    packed: _Packed, past: FloatArray, rows: FloatArray, measured: FloatArray
+) -> FloatArray:
     """Outputs (n, members) over `rows` (depth + n, n_out); changes `past` in place."""
     channel, lag, gain, poles, drive, offset = packed
     count, depth = past.shape
@@ -210,9 +196,10 @@ def _advance(packed: _Packed, past: FloatArray, rows: FloatArray) -> FloatArray:
                     for o in range(drive.shape[2]):
                         y += drive[m, i, o] * rows[at - i, o]
                 for i in range(depth):
-                    y += poles[m, i] * past[m, i]
+                    if poles[m, i] != 0.0:  # of a shorter order, where the past may be unknown
+                        y += poles[m, i] * past[m, i]
             for i in range(depth - 1, 0, -1):
                 past[m, i] = past[m, i - 1]
-            past[m, 0] = y
+            past[m, 0] = measured[k, channel[m]] if len(measured) else y
             found[k, m] = y
     return found

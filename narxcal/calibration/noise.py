@@ -89,7 +89,6 @@ class NoiseModel:
             raise ModelError("the bias decay and activity decay of a fuser must not exceed 1")
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain lists and numbers, for a bundle's JSON."""
         return {
             "dt_s": self.dt_s,
             **{key: getattr(self, name).tolist() for name, key in STORED.items()},
@@ -136,8 +135,6 @@ def estimate_noise(
     the likelihood is that of the innovations of the scalar Kalman filter (Harvey, Forecasting,
     Structural Time Series Models, 1989, section 3.4) with the measurement variance concentrated
     out, so that the mean normalised innovation squared is one on the data of the estimate.
-
-    Raises `DataError` where a channel has too few measured samples.
     """
     z, p = _records(measured), _records(predicted)
     shapes = [a.shape for a in z], [a.shape for a in p]

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from narxcal.lumped.engine import LumpedEngine
-from narxcal.lumped.rotors import CASING, FAST, ROWS, Drive
+from narxcal.lumped.states import CASING, FAST, ROWS, Drive
 from narxcal.narx.kernels import Layers, fading, free_run
 from narxcal.narx.network import AT_START, NarxModel
 from narxcal.support.arrays import BoolArray, FloatArray, IntArray
@@ -143,6 +143,7 @@ class Register:
 
     def __init__(self, parts: Parts, first: Sample) -> None:
         self.parts = parts
+        self.share: FloatArray | float = 1.0 if parts.share is None else parts.share
         self.network = _network(parts)
         narx, nothing = parts.narx, np.zeros_like(first.deviation)
         # With lags the initial deviation is theirs, else the network's.
@@ -198,11 +199,6 @@ class Register:
         samples = schedule, np.ascontiguousarray(ss), lagged
         deviation: FloatArray = advance(self.network, self.state, samples)
         return deviation if self.parts.share is None else lagged + self.share * (deviation - lagged)
-
-    @property
-    def share(self) -> FloatArray | float:
-        """Share (n_out,) of the network's deviation that counts."""
-        return 1.0 if self.parts.share is None else self.parts.share
 
     def _lags(self, inputs: FloatArray, ss: FloatArray) -> FloatArray:
         lag = self.parts.lag

@@ -76,10 +76,7 @@ class FitRecord(_Part):
 
 
 class IdentityRecord(_Part):
-    """What a log that the model learned from is recognised by (`data_prep.cleaning.identity`).
-
-    Older versions stored no `moves`: the digest is left.
-    """
+    """What a log that the model learned from is recognised by (`data_prep.cleaning.identity`)."""
 
     log: str
     file: str
@@ -88,8 +85,8 @@ class IdentityRecord(_Part):
     role: Literal["train", "validate"]
     digest: str
     channels: tuple[str, ...]
-    span_s: float = 0.5
-    moves: str = ""
+    span_s: float
+    moves: str
 
 
 class HeldOutRecord(_Part):
@@ -123,7 +120,6 @@ class MixtureChannel(_Part):
 
     @property
     def ordered(self) -> list[tuple[str, float]]:
-        """Models with their weights, the largest first."""
         return sorted(self.weights.items(), key=lambda pair: -pair[1])
 
 
@@ -214,7 +210,6 @@ class RunRecord(_Part):
 
     @property
     def interrupted(self) -> bool:
-        """Whether Ctrl-C ended the training."""
         return "interrupted" in self.training.status
 
     @property
@@ -232,5 +227,4 @@ class RunRecord(_Part):
         return self.mixture or MixtureRecord()
 
     def logs(self, role: str) -> tuple[str, ...]:
-        """Names of the logs of "train", "validate" or "test"."""
         return self.split.get(role, ())

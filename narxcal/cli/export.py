@@ -123,7 +123,6 @@ def run(options: Namespace, console: Console) -> int:
 
 
 def _check_file(options: Namespace) -> None:
-    """Refuse, before any work, a file that is in the way or of another kind."""
     endings = _ENDINGS[options.to]
     what = f"--to {options.to} writes a {' or '.join(endings)} file"
     check_ending(options.out, what, *endings)
@@ -258,7 +257,6 @@ def _show_nodes(console: Console, report: ExportReport) -> None:
 
 
 def _export_run(options: Namespace, console: Console) -> int:
-    """Export a run, compare the file with `simulate`, and show the proof."""
     out, nodes = options.out, _nodes(options)
     if options.to == "c":
         check_output_folder(out, _WRITTEN if options.overwrite else None)
@@ -421,7 +419,6 @@ def _show_run(console: Console, exported: Exportable, found: dict[str, Any]) -> 
 
 
 def _show_misfit(console: Console, misfit: dict[str, Any]) -> None:
-    """What JSBSim's form does not hold."""
     rows = [
         [what, *(f"{value:.2f}" for value in by.values())]
         for part, suffix in (("largest", "largest"), ("rms", "RMS"))

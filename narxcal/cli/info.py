@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from narxcal.calibration.bundle import Bundle, load_bundle, read_document
-from narxcal.calibration.calibration import DynamicCalibration
+from narxcal.calibration.dynamic import DynamicCalibration
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_run
 from narxcal.cli.results import hash_words, interval_words, lag_words, steady_words

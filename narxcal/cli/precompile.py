@@ -22,7 +22,7 @@ import numpy as np
 from narxcal.cli.app import main
 from narxcal.support.arrays import FloatArray
 from narxcal.support.compiled import lagged
-from narxcal.support.files import log_csv
+from narxcal.support.csv_text import log_csv
 from narxcal.support.parallel import in_processes
 
 # Idle, range and time constant in s of an engine of first-order lags, whose recorder has noise.

@@ -31,8 +31,9 @@ from narxcal.cli.console import Console
 from narxcal.cli.options import add_config, add_jobs
 from narxcal.cli.results import config_header, read_config
 from narxcal.support.arrays import FloatArray
+from narxcal.support.csv_text import TIME_FORMAT, csv_blocks, text_cell
 from narxcal.support.errors import NarxcalError
-from narxcal.support.files import TIME_FORMAT, Results, csv_blocks, text_cell, versions
+from narxcal.support.files import Results, versions
 from narxcal.support.parallel import in_processes
 from training.config import RunConfig
 

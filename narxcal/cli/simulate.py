@@ -33,16 +33,9 @@ from narxcal.cli.console import Console
 from narxcal.cli.options import SIMULATOR, add_interval, add_mapping, add_out_file, add_trust, path
 from narxcal.cli.results import interval_words, read_config
 from narxcal.support.arrays import FloatArray
+from narxcal.support.csv_text import TIME_FORMAT, log_csv, text_cell
 from narxcal.support.errors import ConfigError
-from narxcal.support.files import (
-    TIME_FORMAT,
-    Results,
-    atomic_write_text,
-    check_file,
-    log_csv,
-    recover,
-    text_cell,
-)
+from narxcal.support.files import Results, atomic_write_text, check_file, recover
 from training.config import RunConfig
 from training.pipeline import calibration_for
 from training.screening.screen import screened

@@ -29,10 +29,7 @@ def compiler() -> str | None:
 
 
 def compiled(code: Mapping[str, str], flags: Sequence[str] = ()) -> bytes:
-    """Compile `code` {file: text} to a shared library.
-
-    Raises `ModelError` where there is no compiler, or it fails.
-    """
+    """Compile `code` {file: text} to a shared library."""
     found = compiler()
     if found is None:
         raise ModelError(

@@ -174,7 +174,6 @@ def _units(root: Element, found: list[Variable]) -> None:
 
 
 def _value(variable: Variable) -> dict[str, str]:
-    """Attributes of unit and start, the same in both versions."""
     found = {"unit": variable.unit, "start": variable.start}
     if variable.channel == "dT_C":
         found["relativeQuantity"] = "true"  # a difference: the offset of degC does not apply
@@ -241,8 +240,6 @@ def export_fmu(
     The FMU interpolates multilinearly in double precision, clamps inputs to the envelope and
     reports that in its output `inside`. Switches whose effects add up get grids of their own, which
     makes it much finer than a table of the same size.
-
-    Raises as `write_fmu` and `plan`.
     """
     chosen, file = options or ExportOptions(), Path(path)
     _headers(fmi)
@@ -260,9 +257,6 @@ def write_fmu(program: Program, file: Path, fmi: str = "2.0") -> int:
 
     It runs on the platform that it was made on and contains its sources for others (`fmpy
     compile`); where there is no compiler `cc`, it contains the sources alone.
-
-    Raises `ModelError` where FMPy is missing and where compiling fails, `ConfigError` for another
-    `fmi` and where the file cannot be written.
     """
     headers, folder = _headers(fmi)
     code = {

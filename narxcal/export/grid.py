@@ -64,8 +64,6 @@ class Grid:
         """Take `nodes` where they are given and the ends of the model's envelope elsewhere.
 
         A gridded table keeps all its own nodes.
-
-        Raises `ConfigError` for nodes of a name that is no input.
         """
         given = dict(nodes or {})
         for name in given:
@@ -82,7 +80,6 @@ class Grid:
 
     @property
     def varying(self) -> tuple[str, ...]:
-        """Inputs of the exported table."""
         return tuple(name for name, nodes in self.axes.items() if len(nodes) > 1)
 
     @property
@@ -91,7 +88,6 @@ class Grid:
 
     @property
     def rows(self) -> int:
-        """Number of conditions of the full grid."""
         return math.prod(len(nodes) for nodes in self.axes.values())
 
     def draw(self, count: int, rng: np.random.Generator) -> FloatArray:
@@ -106,7 +102,6 @@ class Grid:
 
 
 def _ends(model: SteadyStateModel) -> tuple[list[float], list[float]]:
-    """Ends of each input: those of the model's envelope, else the usual ones."""
     usual = [
         USUAL_RANGES.get(name, (described(name).low, described(name).high))
         for name in model.input_names
@@ -138,7 +133,6 @@ class Block:
         return int(np.prod([len(axis) for axis in self.axes], dtype=np.int64))
 
     def interpolant(self) -> Multilinear:
-        """Multilinear interpolation over the block's own columns."""
         return Multilinear.of(self.axes, self.values)
 
 

@@ -52,6 +52,37 @@ class Graph:
             self._known[key] = name
         return Number(self, self._known[key])
 
+    def serialized(
+        self,
+        inputs: Mapping[str, int],
+        outputs: Mapping[str, tuple[Number, int]],
+        properties: dict[str, str],
+    ) -> bytes:
+        """Checked model of float64 rows (batch, width): names and widths of both ends."""
+        from onnx import TensorProto, checker, helper, numpy_helper  # noqa: PLC0415 -- an extra
+
+        def described(widths: Mapping[str, int]) -> list[Any]:
+            return [
+                helper.make_tensor_value_info(name, TensorProto.DOUBLE, ["batch", width])
+                for name, width in widths.items()
+            ]
+
+        ends = [
+            helper.make_node("Identity", [number.name], [name])
+            for name, (number, _) in outputs.items()
+        ]
+        constants = [numpy_helper.from_array(each, name) for name, each in self.constants.items()]
+        made = described({name: width for name, (_, width) in outputs.items()})
+        nodes = [*self.nodes, *ends]
+        graph = helper.make_graph(nodes, "engine", described(inputs), made, constants)
+        opset = helper.make_opsetid("", OPSET)
+        proto = helper.make_model(
+            graph, opset_imports=[opset], producer_name="narxcal", ir_version=9
+        )
+        helper.set_model_props(proto, properties)
+        checker.check_model(proto)
+        return bytes(proto.SerializeToString())
+
 
 def _both_sides(operation: str) -> tuple[Callable[..., Number], Callable[..., Number]]:
     """An operator with the number on its left, and on its right."""
@@ -91,12 +122,10 @@ class Number:
         return _PATHS[-1].decide(self)
 
     def column(self, k: int) -> Number:
-        """Column k of rows (batch, n)."""
         return self.to("Gather", self.graph.constant(k, np.int64), axis=1)
 
 
 def clip(x: Any, low: float, high: float) -> Any:
-    """`x` within the bounds."""
     if not isinstance(x, Number):
         return min(max(x, low), high)
     x = x.to("Max", low) if low > -math.inf else x

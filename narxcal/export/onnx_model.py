@@ -9,18 +9,19 @@ the C, with the same tables of numbers (`narxcal.export.parts`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from narxcal.atmosphere import KELVIN, T0_K
-from narxcal.export.onnx_graph import OPSET, Graph, Number, clip, traced, where
-from narxcal.export.parts import LAG_ROWS, Part, Struct
+from narxcal.export.onnx_graph import Graph, Number, clip, traced, where
+from narxcal.export.parts import LAG_ROWS, Struct
 from narxcal.export.program import Program
-from narxcal.lumped import rotors
-from narxcal.lumped.rotors import Drive, Engine
+from narxcal.lumped import governed, limited
+from narxcal.lumped.states import Drive, Engine
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ModelError
 from narxcal.support.files import atomic_write_bytes
@@ -32,15 +33,12 @@ class _Sample:
     """Inputs and steady state of a sample, as columns."""
 
     def __init__(self, model: _Model, given: Numbers) -> None:
-        self.model, self.given = model, given
+        self.given = given
         self.ss: Numbers = model.steady(given)
-
-    def air(self, columns: Sequence[int]) -> tuple[Any, Any]:
-        """theta2 and delta2 of columns of altitude, Mach and temperature deviation."""
-        return _air(self.model.graph, self.given, columns)
 
 
 def _air(g: Graph, given: Numbers, columns: Sequence[int]) -> tuple[Any, Any]:
+    """theta2 and delta2 of columns of altitude, Mach and temperature deviation."""
     alt, mach, hot = (given[k] if k >= 0 else g.constant(0.0) for k in columns)
     height = clip(alt * 0.3048, -np.inf, 20e3)
     standard = T0_K - 0.0065 * clip(height, -np.inf, 11e3)
@@ -149,7 +147,7 @@ class _Model:
         return [*[0.0] * ((LAG_ROWS - 2) * self.outputs), *at.target[0], *now.ss]
 
     def lags_step(self, lags: Struct, now: _Sample, x: Numbers) -> tuple[Numbers, Numbers]:
-        n, own, governed = lags.numbers, self.outputs, "governed" in lags.needs
+        n, own, form = lags.numbers, self.outputs, lags.needs[-1]
         at = self._drive(n, now)
         table = np.array(x, dtype=object).reshape(LAG_ROWS, own)
         states, before = table[: LAG_ROWS - 2].copy(), table[LAG_ROWS - 2 :]
@@ -157,14 +155,14 @@ class _Model:
             np.array([before[1], at.ss[0]]), np.array([before[0], at.target[0]]),
             np.array([at.per_unit[0]] * 2), np.array([at.air[0]] * 2),
         )  # fmt: skip
-        engine = Engine(n["theta"], n["limit"], n["order"], n["own"], n["rank"], governed)
-        names = traced(rotors)
-        names["_governed" if governed else "_limited"](engine, drive, states, 1, n["dt_s"])
-        deviation = [names["deviation"](states, o) for o in range(own)]
+        engine = Engine(n["theta"], n["limit"], n["order"], n["own"], n["rank"], form == "governed")
+        names = traced(governed if form == "governed" else limited)
+        names[form](engine, drive, states, 1, n["dt_s"])
+        deviation = [states[:3, o].sum() for o in range(own)]
         return deviation, [*states.ravel(), *at.target[0], *now.ss]
 
     def _drive(self, n: Any, now: _Sample) -> Drive:
-        theta, delta = now.air(n["air"])
+        theta, delta = _air(self.graph, now.given, n["air"])
         root = theta.to("Sqrt")
         target = [
             (y / root - c) / h for y, c, h in zip(now.ss, n["centre"], n["half"], strict=True)
@@ -342,8 +340,9 @@ class _Model:
         total, kept = [self.batch] * self.outputs, []
         for part in self.program.parts:
             x = [state.column(at + k) for k in range(part.states)]
-            begun = self._of(part, "start")(part.struct.numbers, now)
-            d, after = self._of(part, "step")(part.struct.numbers, now, x)
+            start, step = (getattr(self, f"{part.struct.kind}_{v}") for v in ("start", "step"))
+            begun = start(part.struct.numbers, now)
+            d, after = step(part.struct.numbers, now, x)
             kept += [where(begins, a, b) for a, b in zip(begun, after, strict=True)]
             for o, weight in enumerate(part.weights):
                 if weight:
@@ -367,10 +366,6 @@ class _Model:
         for k, column in enumerate(columns):
             acting[column] = (1.0 - part) * after[k] + part * past[k]
         return acting, after
-
-    def _of(self, part: Part, verb: str) -> Callable[..., Any]:
-        found: Callable[..., Any] = getattr(self, f"{part.struct.kind}_{verb}")
-        return found
 
 
 def _second_order(
@@ -396,37 +391,14 @@ def _second_order(
 
 
 def write_onnx(program: Program, file: Path) -> int:
-    """Write the model of the chosen engine; returns the size in bytes.
-
-    Raises `ModelError` where onnx is missing.
-    """
-    try:
-        from onnx import TensorProto, checker, helper, numpy_helper  # noqa: PLC0415
-    except ImportError:
-        raise ModelError("ONNX is not installed", hint="pip install 'narxcal[export]'") from None
-    model = _Model(program)
+    """Write the model of the chosen engine; returns the size in bytes."""
+    if find_spec("onnx") is None:
+        raise ModelError("ONNX is not installed", hint="pip install 'narxcal[export]'")
+    model, states = _Model(program), max(program.states, 1)
     state, output = model.build()
-    graph = model.graph
-    for found, name in ((state, "next_state"), (output, "output")):
-        graph.nodes.append(helper.make_node("Identity", [found.name], [name]))
-    widths = {
-        "state": max(program.states, 1), "input": len(program.model.input_names),
-        "next_state": max(program.states, 1), "output": model.outputs,
-    }  # fmt: skip
-    values = {
-        name: helper.make_tensor_value_info(name, TensorProto.DOUBLE, ["batch", width])
-        for name, width in widths.items()
-    }
-    constants = [numpy_helper.from_array(array, name) for name, array in graph.constants.items()]
-    made = helper.make_graph(
-        graph.nodes, "engine", [values["state"], values["input"]],
-        [values["next_state"], values["output"]], constants,
-    )  # fmt: skip
-    proto = helper.make_model(
-        made, opset_imports=[helper.make_opsetid("", OPSET)], producer_name="narxcal", ir_version=9
-    )
-    helper.set_model_props(
-        proto,
+    data = model.graph.serialized(
+        {"state": states, "input": len(program.model.input_names)},
+        {"next_state": (state, states), "output": (output, model.outputs)},
         {
             "about": "; ".join(program.about),
             "run_sha256": program.sha256,
@@ -436,7 +408,5 @@ def write_onnx(program: Program, file: Path) -> int:
             "state": "NaN begins a run in equilibrium at the input; then pass next_state on",
         },
     )
-    checker.check_model(proto)
-    data = proto.SerializeToString()
     atomic_write_bytes(file, data)
     return len(data)

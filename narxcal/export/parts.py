@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from narxcal.atmosphere import SIMILARITY, air_columns, similarity
-from narxcal.calibration.calibration import Calibration, DynamicCalibration
+from narxcal.calibration.calibration import Calibration
+from narxcal.calibration.dynamic import DynamicCalibration
 from narxcal.calibration.identified import (
     EngineDynamics,
     IdentifiedCalibration,
@@ -26,8 +27,10 @@ from narxcal.calibration.identified import (
 )
 from narxcal.calibration.members import Member
 from narxcal.export.grid import Block, GriddedModel
-from narxcal.lumped import rotors
+from narxcal.lumped import governed
 from narxcal.lumped.engine import LumpedEngine
+from narxcal.lumped.limited import LIMITED
+from narxcal.lumped.states import CASING, ROWS
 from narxcal.output_error.engine import EngineFromSteady
 from narxcal.steady.fitted import RATIOS, FittedSteadyState
 from narxcal.steady.model import Envelope, SteadyStateModel
@@ -35,7 +38,7 @@ from narxcal.steady.table import SteadyTable
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ModelError
 
-LAG_ROWS = rotors.ROWS + 2  # of lags.c: those of `rotors`, and two rows of the newest sample
+LAG_ROWS = ROWS + 2  # of lags.c: those of `lumped.states`, and two rows of the newest sample
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,10 +65,7 @@ class Part:
 
 
 def steady_struct(steady: SteadyStateModel) -> tuple[Struct, tuple[str, ...]]:
-    """A steady-state model, and the engines that it tells apart; the first is the one chosen.
-
-    Raises `ModelError` for a model that is neither a gridded table nor fitted.
-    """
+    """A steady-state model, and the engines that it tells apart; the first is the one chosen."""
     if isinstance(steady, FittedSteadyState):
         # A model of one engine was wanted as such; else all are in the file.
         chosen = steady.engine in steady.engines
@@ -197,7 +197,7 @@ def _narx(model: DynamicCalibration, weights: FloatArray) -> Part:
 
 
 def _lags(lag: LumpedEngine, model: DynamicCalibration) -> Struct:
-    engine, slow = lag.compiled(), lag.start(np.ones(len(lag.output_names)))[rotors.CASING]
+    engine, slow = lag.compiled(), lag.start(np.ones(len(lag.output_names)))[CASING]
     numbers = {
         "air": air_columns(model.input_names),
         **{name: getattr(lag, name) for name in ("theta", "centre", "half", "limit", "order")},
@@ -206,7 +206,7 @@ def _lags(lag: LumpedEngine, model: DynamicCalibration) -> Struct:
         "slow": slow.astype(np.int64),
         "dt_s": model.dt_s,
     }
-    define = _governed(len(slow)) if lag.governed else {"LIMITED": _enum("LIMITED", rotors.LIMITED)}
+    define = _governed(len(slow)) if lag.governed else {"LIMITED": _enum("LIMITED", LIMITED)}
     form = "governed" if lag.governed else "limited"
     return Struct("lags", numbers, ("air", "lags", form), define)
 
@@ -217,20 +217,18 @@ def _enum(head: str, names: tuple[str, ...]) -> str:
 
 def _governed(count: int) -> dict[str, str]:
     """Places in theta of a governed engine of `count` outputs."""
-    lines, others, terms = len(rotors.LINES), len(rotors.OTHER_LINES), len(rotors.REGRESSORS)
-    slopes = terms * (lines + others * (count - 2))
-    heat = slopes + len(rotors.SLOPES) * (count - 1)
+    slopes, heat, extra = governed.places(count)
     places = {
-        "REGRESSORS": terms,
-        "REGRESSOR_Mach": rotors.REGRESSORS.index("Mach"),
+        "REGRESSORS": len(governed.REGRESSORS),
+        "REGRESSOR_Mach": governed.REGRESSORS.index("Mach"),
         "SLOPES": slopes,
-        "SLOPE_TERMS": len(rotors.SLOPES),
+        "SLOPE_TERMS": len(governed.SLOPES),
         "HEATS": heat,
-        "HEAT_TERMS": len(rotors.HEAT),
-        "EXTRA": heat + len(rotors.HEAT) * count,
+        "HEAT_TERMS": len(governed.HEAT),
+        "EXTRA": extra,
     }
     listed = ", ".join(f"{name} = {value}" for name, value in places.items())
-    return {"LINES": _enum("LINE", rotors.LINES), "PLACES": f"enum {{ {listed} }};"}
+    return {"LINES": _enum("LINE", governed.LINES), "PLACES": f"enum {{ {listed} }};"}
 
 
 def _member(one: Member, outputs: int) -> Part:

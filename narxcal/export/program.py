@@ -36,7 +36,6 @@ _ORDER = (
 
 
 def shipped(name: str) -> str:
-    """Text of a C file of the runtime."""
     return files("narxcal.export").joinpath("c", name).read_text(encoding="utf-8")
 
 
@@ -104,7 +103,6 @@ class Program:
 
     @cached_property
     def code(self) -> dict[str, str]:
-        """C files by name: `engine.h` and `engine.c`."""
         return {"engine.h": self._header(), "engine.c": self._source()}
 
     def _header(self) -> str:
@@ -309,10 +307,7 @@ class Exportable:
         nodes: Mapping[str, Sequence[float]] | None = None,
         options: ExportOptions | None = None,
     ) -> Exportable:
-        """Choose an engine, and sample the steady state where it has to be.
-
-        Raises `ConfigError` for an engine that the run does not know, else as `plan`.
-        """
+        """Choose an engine, and sample the steady state where it has to be."""
         model, chosen = bundle.calibration, options or ExportOptions()
         if engine is not None:
             known = tuple(getattr(model.steady, "engines", ()))

@@ -61,10 +61,7 @@ def held(inputs: FloatArray) -> FloatArray:
 def compare(
     model: Calibration, run: Run, cases: Iterable[Case], *, starts: bool = True
 ) -> list[dict[str, Any]]:
-    """Compare free runs, restarts in mid-flight and, with `starts`, runs from other outputs.
-
-    A row has the largest difference by output, in its unit.
-    """
+    """Compare free runs, restarts in mid-flight and, with `starts`, runs from other outputs."""
     trials: list[tuple[str, Trial]] = []
     for case in cases:
         first, later = held(case.inputs)[0], case.inputs[len(case.inputs) // 2 :]

@@ -82,7 +82,6 @@ class Measured:
 
     @property
     def worst_pct(self) -> float:
-        """Largest error of all outputs in percent of their ranges."""
         return max(output.max_pct for output in self.outputs)
 
 
@@ -109,7 +108,6 @@ class ExportReport:
 
     @property
     def shortfall(self) -> str:
-        """By how much the tolerance is missed, why, and what to do."""
         return (
             f"the largest error, {self.measured.worst_pct:.3g} % of the range, is above the "
             f"tolerance of {self.tolerance_pct:g} %: {self.why}. {ADVICE}"
@@ -117,11 +115,9 @@ class ExportReport:
 
     @property
     def why(self) -> str:
-        """Why no more nodes were added, in words."""
         return _WHY[self.stopped]
 
     def to_dict(self) -> dict[str, Any]:
-        """Convert to a JSON document."""
         document = asdict(self) | {"axes": dict(self.axes), "fixed": dict(self.fixed)}
         measured = document.pop("measured")
         for row, output in zip(measured["outputs"], self.measured.outputs, strict=True):

@@ -22,8 +22,9 @@ from narxcal.flight_test.pilot import SIDES
 from narxcal.flight_test.scenario import SCHEMA, FlightScenario, FlownEffect
 from narxcal.flight_test.sensors import Streams, record
 from narxcal.support.arrays import FloatArray
+from narxcal.support.csv_text import log_csv
 from narxcal.support.errors import ConfigError, ModelError
-from narxcal.support.files import is_file, log_csv, versions
+from narxcal.support.files import is_file, versions
 from narxcal.support.parallel import in_processes
 from narxcal.support.progress import Progress, silent
 from narxcal.support.settings import read_toml
@@ -159,10 +160,7 @@ def _truth(scenario: FlightScenario, rows: list[dict[str, Any]]) -> dict[str, An
 
 
 def fly(scenario: FlightScenario, flight: int) -> list[VirtualLog]:
-    """Fly one flight (numbered from 1) and record its engines; writes no files.
-
-    The same scenario and number give the same numbers, whatever else is flown.
-    """
+    """Fly one flight (numbered from 1) and record its engines; writes no files."""
     plans = scenario.planned(flight)
     return [_flown(scenario, flight, engine, plans) for engine in scenario.engines]
 
@@ -218,10 +216,7 @@ def _simulated(
 def flown_engine(
     scenario: FlightScenario, side: str, effects: Sequence[FlownEffect] = ()
 ) -> VirtualEngine:
-    """Build the engine on one side of the aircraft, with those `effects` that sit in an engine.
-
-    It is the same engine on every flight of the scenario, but for its effects.
-    """
+    """Build the engine on one side of the aircraft, with those `effects` that sit in an engine."""
     unmodelled = [
         Unmodelled(effect.id, effect.parameters, effect.windows_s)
         for effect in effects
@@ -237,7 +232,6 @@ def build(scenario: FlightScenario, side: str) -> Health:
 
 
 def _in_order(names: Iterable[str]) -> list[str]:
-    """Put channel names in the order of the table of channels; other names are dropped."""
     given = set(names)
     return [name for name in CHANNELS if name in given]
 
@@ -256,7 +250,6 @@ class LeverMove(NamedTuple):
 
     @property
     def kind(self) -> str:
-        """`push` or `pull`."""
         return "push" if self.to_deg > self.from_deg else "pull"
 
     def row(self) -> dict[str, Any]:

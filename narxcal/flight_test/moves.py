@@ -94,7 +94,6 @@ class Limits(Section):
 
     @property
     def way_s(self) -> float:
-        """Time of the whole way of the lever."""
         return (self.lever[1] - self.lever[0]) / self.lever_per_s
 
     @classmethod
@@ -104,7 +103,6 @@ class Limits(Section):
 
     @property
     def heights_ft(self) -> list[float]:
-        """Test altitudes, rising."""
         low, high = self.altitude_ft
         return [low] if low == high else np.linspace(low, high, self.altitudes).tolist()
 
@@ -136,7 +134,6 @@ class Move(Section, extra="ignore"):
 
     @property
     def duration_s(self) -> float:
-        """Length of the move with its hold."""
         return self.corners[-1][0]
 
     @property

@@ -22,19 +22,14 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from narxcal.flight_test.manoeuvres import travel
 from narxcal.flight_test.pilot import LATER_S, SIDES, Placed, compose, draw_rate
 from narxcal.flight_test.plan import seeded
-from narxcal.flight_test.route import (
-    CHANNEL_NAMES,
-    RATE_HZ,
-    check_between,
-    smoothed,
-)
+from narxcal.flight_test.route import CHANNEL_NAMES, smoothed
 from narxcal.support.arrays import FloatArray
 
 _FAST_PUSH = (35.0, 120.0)
@@ -48,7 +43,6 @@ class PushWindow:
     is needed. Without pushes the lever is pulled into `low` at the beginning.
     """
 
-    phase: str
     start_s: float
     stop_s: float
     pushes: int
@@ -84,8 +78,8 @@ _TABLES = tomllib.loads(files(__package__).joinpath("paper_records.toml").read_t
 
 def _windows(rows: Sequence[Sequence[Any]]) -> tuple[PushWindow, ...]:
     return tuple(
-        PushWindow(phase, start_s, stop_s, pushes, tuple(low), tuple(high))
-        for phase, start_s, stop_s, pushes, low, high in rows
+        PushWindow(start_s, stop_s, pushes, tuple(low), tuple(high))
+        for _, start_s, stop_s, pushes, low, high in rows
     )
 
 
@@ -100,14 +94,14 @@ def _record(table: Mapping[str, Any]) -> FlownRecord:
 PAPER_RECORDS = tuple(_record(table) for table in _TABLES["flights"])
 _CIRCUIT: list[tuple[float, float, float]] = _TABLES["circuit"]["corners"]
 _CIRCUIT_WINDOWS = _windows(_TABLES["circuit"]["windows"])
-_CIRCUIT_S = _CIRCUIT[-1][0]
+_CIRCUIT_S, _CIRCUITS = _CIRCUIT[-1][0], 4
 _LIFT_OFF_S, _TOUCH_DOWN_S = 60.0, 576.0
 _APPROACHES_S = ((262.0, 395.0), (450.0, _TOUCH_DOWN_S))
 
 
-def circuits(field_ft: float, dT_C: float, count: int = 4) -> FlownRecord:
-    """Plan take-off, approach with a low go-around, and approach to a full stop, `count` times."""
-    starts = [k * _CIRCUIT_S for k in range(count)]
+def circuits(field_ft: float, dT_C: float) -> FlownRecord:
+    """Plan take-off, approach with a low go-around, and approach to a full stop, four times."""
+    starts = [k * _CIRCUIT_S for k in range(_CIRCUITS)]
     return FlownRecord(
         corners=tuple(
             (start + time, field_ft + height, mach, dT_C)
@@ -115,7 +109,7 @@ def circuits(field_ft: float, dT_C: float, count: int = 4) -> FlownRecord:
             for time, height, mach in _CIRCUIT
         ),
         windows=tuple(window.later(start) for start in starts for window in _CIRCUIT_WINDOWS),
-        pushes=(7 * count, 7 * count),
+        pushes=(7 * _CIRCUITS, 7 * _CIRCUITS),
         ground=tuple(
             span
             for start in starts
@@ -136,50 +130,32 @@ _JITTER_DEG = 0.7  # random error of an angle
 _FIELDS = ((300.0, -12.0), (1500.0, 3.0), (2500.0, 16.0), (4500.0, 19.0), (100.0, -27.0))
 
 
-@dataclass(frozen=True)
-class Push:
-    """A push of one engine's lever: when it begins, in which phase, and how."""
+class DataSet(NamedTuple):
+    """One engine's record: `channels` (time,) as `plan_flight` returns them."""
 
-    start_s: float
-    phase: str
-    before_deg: float
-    after_deg: float
-    rate_deg_s: float
-
-
-@dataclass(frozen=True, eq=False)
-class DataSet:
-    """One engine's record: `channels` (time,) as `plan_flight` returns them, and its pushes."""
-
-    number: int
     flight: int
     engine: str
     channels: dict[str, FloatArray]
-    pushes: tuple[Push, ...]
 
 
-def fast_push_sets(seed: int, rate_hz: float = 32.0) -> tuple[DataSet, ...]:
+def fast_push_sets(seed: int, rate_hz: float) -> tuple[DataSet, ...]:
     """Record the ten fast-acceleration data sets of the paper's section 3.1: 152 pushes."""
     return _sets(PAPER_RECORDS, seed, rate_hz)
 
 
-def throttle_rate_sets(seed: int, rate_hz: float = 32.0) -> tuple[DataSet, ...]:
+def throttle_rate_sets(seed: int, rate_hz: float) -> tuple[DataSet, ...]:
     """Record the same flights with pushes and pulls from 3 deg/s to slam."""
     rates = (3.0, 120.0)
     varied = [replace(one, push_deg_s=rates, pull_deg_s=rates) for one in PAPER_RECORDS]
     return _sets(varied, seed, rate_hz)
 
 
-def take_off_approach_sets(seed: int, rate_hz: float = 32.0) -> tuple[DataSet, ...]:
-    """Record take-offs, approaches, go-arounds and landings: five flights of four circuits.
-
-    Fields and days of the last two enclose those of the others.
-    """
+def take_off_approach_sets(seed: int, rate_hz: float) -> tuple[DataSet, ...]:
+    """Record take-offs, approaches, go-arounds and landings: five flights of four circuits."""
     return _sets([circuits(field_ft, dT_C) for field_ft, dT_C in _FIELDS], seed, rate_hz)
 
 
 def _sets(records: Sequence[FlownRecord], seed: int, rate_hz: float) -> tuple[DataSet, ...]:
-    check_between("rate_hz", rate_hz, *RATE_HZ)
     random = seeded(seed)
     sets: list[DataSet] = []
     for flight, record in enumerate(records, start=1):
@@ -187,12 +163,11 @@ def _sets(records: Sequence[FlownRecord], seed: int, rate_hz: float) -> tuple[Da
         lengths = (length, length - random.uniform(5.0, 15.0))
         slots = _slots(record, random)
         for engine, count, stop in zip(SIDES, record.pushes, lengths, strict=True):
-            pushes, placed = _placed(record, _kept(slots, count, random), random)
+            placed = _placed(record, _kept(slots, count, random), random)
             time_s = np.arange(int(stop * rate_hz)) / rate_hz
             channels = _air(record, time_s)
             channels["TRA_deg"] = compose(placed, time_s, _start_deg(record))
-            ordered = {name: channels[name] for name in CHANNEL_NAMES}
-            sets.append(DataSet(len(sets) + 1, flight, engine, ordered, tuple(pushes)))
+            sets.append(DataSet(flight, engine, {name: channels[name] for name in CHANNEL_NAMES}))
     return tuple(sets)
 
 
@@ -245,11 +220,9 @@ def _start_deg(record: FlownRecord) -> float:
     return 0.0 if record.ground else float(np.mean(record.windows[0].high))
 
 
-def _placed(
-    record: FlownRecord, slots: list[_Slot], random: np.random.Generator
-) -> tuple[list[Push], list[Placed]]:
+def _placed(record: FlownRecord, slots: list[_Slot], random: np.random.Generator) -> list[Placed]:
     """Place pulls and pushes of one lever, each with a small random error of time and angle."""
-    angle, pushes, placed = _start_deg(record), [], []
+    angle, placed = _start_deg(record), []
     for slot in slots:
         clock = slot.start_s + random.uniform(*LATER_S)
         off = random.uniform(-_JITTER_DEG, _JITTER_DEG)
@@ -263,10 +236,9 @@ def _placed(
         start = slot.start_s + slot.length_s * 0.58 + random.uniform(*LATER_S)
         high = slot.high + random.uniform(-_JITTER_DEG, _JITTER_DEG)
         rate = max(slot.push_deg_s, (high - angle) / (0.25 * slot.length_s))
-        pushes.append(Push(start, slot.window.phase, angle, high, rate))
         placed.append(Placed(start, travel(high - angle, rate)))
         angle = high
-    return pushes, placed
+    return placed
 
 
 def _air(record: FlownRecord, time_s: FloatArray) -> dict[str, FloatArray]:

@@ -17,9 +17,12 @@ altitude, Mach and temperature change faster. All quantities over time are array
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass
+from importlib.resources import files
 from itertools import accumulate
+from typing import Any
 
 import numpy as np
 from scipy.signal import lfilter
@@ -55,36 +58,16 @@ AIRCRAFT = {
 }
 
 
-def check_between(name: str, value: float, low: float, high: float, hint: str = "") -> None:
+def check_between(name: str, value: float, low: float, high: float) -> None:
     """Raise `ConfigError` unless `low <= value <= high`; NaN is refused."""
     if not low <= value <= high:
-        raise ConfigError(
-            f"{name} has to lie in {low:g} .. {high:g}, got {value:g}", hint=hint or None
-        )
+        raise ConfigError(f"{name} has to lie in {low:g} .. {high:g}, got {value:g}")
 
 
-# Minimum time of each leg in s, whose sum is the shortest flight, and airspeed at its end in kt.
-_LEGS = {
-    "taxi_out": (20.0, 12.0),
-    "take_off": (22.0, 140.0),
-    "initial_climb": (20.0, 210.0),
-    "climb": (36.0, 255.0),
-    "low_level": (40.0, 270.0),
-    "climb_high": (40.0, 295.0),
-    "cruise": (46.0, 295.0),
-    "step_climb": (18.0, 295.0),
-    "high_cruise": (50.0, 300.0),
-    "descent": (44.0, 285.0),
-    "low_descent": (20.0, 225.0),
-    "approach": (24.0, 145.0),
-    "go_around": (22.0, 190.0),
-    "circuit": (16.0, 180.0),
-    "final": (26.0, 138.0),
-    "flare": (8.0, 128.0),
-    "roll_out": (14.0, 15.0),
-    "taxi_in": (14.0, 8.0),
-}
-LEAST_S = {name: least_s for name, (least_s, _) in _LEGS.items()}
+LEGS: dict[str, dict[str, Any]] = tomllib.loads(
+    files(__package__).joinpath("legs.toml").read_text("utf-8")
+)
+LEAST_S: dict[str, float] = {name: leg["least_s"] for name, leg in LEGS.items()}
 SHORTEST_S = sum(LEAST_S.values())
 GROUND = ("taxi_out", "take_off", "roll_out", "taxi_in")
 # Corners are rounded over this time near the ground, and over the longer one elsewhere.
@@ -133,7 +116,7 @@ def plan_legs(day: Day, aircraft: Aircraft, duration_s: float | None) -> list[Le
     lengths = natural if duration_s is None else _stretched(natural, duration_s)
     stops = list(accumulate(lengths.values()))
     rows = zip(LEAST_S, [0.0, *stops[:-1]], stops, strict=True)
-    return [Leg(name, start, stop, ends[name], _LEGS[name][1]) for name, start, stop in rows]
+    return [Leg(name, start, stop, ends[name], LEGS[name]["end_kt"]) for name, start, stop in rows]
 
 
 def _altitudes(day: Day) -> dict[str, float]:
@@ -150,7 +133,6 @@ def _altitudes(day: Day) -> dict[str, float]:
 
 
 def _natural_s(day: Day, aircraft: Aircraft, ends: dict[str, float]) -> dict[str, float]:
-    """Natural time of each leg in s, at least its minimum."""
     up, high = aircraft.climb_fpm, aircraft.climb_high_fpm
     rates = {"initial_climb": up, "climb": 0.85 * up, "climb_high": 0.5 * (up + high)}
     rates |= {"step_climb": 0.7 * high, "descent": 2300.0, "low_descent": 1500.0}

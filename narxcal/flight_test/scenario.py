@@ -77,7 +77,6 @@ class FlownEffect(Section):
         return self.id in sensor_faults.PARAMETERS
 
     def acts(self, flight: int, engine: str) -> bool:
-        """Whether this engine has it on this flight."""
         there = not self.flights or flight in self.flights
         return there and (not self.engines or engine in self.engines)
 

@@ -1,11 +1,12 @@
 """The lumped two-spool engine: parameters by name, start, free run, slopes, storage.
 
-`narxcal.lumped.rotors` has the equations and the names of the parameters. The steady state is an
-exact equilibrium, which is stable whatever the parameters are.
+`narxcal.lumped.limited` and `governed` have the equations and the names of the parameters. The
+steady state is an exact equilibrium, which is stable whatever the parameters are.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,30 +16,25 @@ import numpy as np
 
 from narxcal.atmosphere import air_columns
 from narxcal.channels import SPOOLS
-from narxcal.lumped.rotors import (
-    CASING,
+from narxcal.lumped.governed import (
     EXTRA,
-    FAST,
     HEAT,
-    LIMITED,
     LINES,
     OTHER_LINES,
     REGRESSORS,
-    ROWS,
     SLOPES,
-    Drive,
-    Engine,
-    conditions,
-    run,
+    governed,
 )
+from narxcal.lumped.limited import LIMITED, limited
+from narxcal.lumped.states import CASING, FAST, ROWS, SOAK, Drive, Engine, conditions, deviation
 from narxcal.narx.network import AT_START, shaped
 from narxcal.support.arrays import BoolArray, FloatArray, IntArray
-from narxcal.support.dual import WIDTH, seeded
+from narxcal.support.compiled import compiled
+from narxcal.support.dual import WIDTH, get, put, seeded
 from narxcal.support.errors import ModelError
 
 Starts = tuple[IntArray, FloatArray]  # positions (n,) of windows, and states (n, ROWS, n_out)
 _SCALES = ("centre", "half", "limit")
-_FORM = "governed/2"  # `form` of a stored governed engine; limited ones have the parameters' names
 
 
 class Slopes(NamedTuple):
@@ -119,7 +115,6 @@ class LumpedEngine:
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
-        """Names (P,) of `theta`: output or part, and what it is of."""
         if not self.governed:
             return tuple(f"{output}: {name}" for output in self.output_names for name in LIMITED)
         core, *others = (self.output_names[k] for k in self.order)
@@ -132,7 +127,6 @@ class LumpedEngine:
 
     @property
     def speeds(self) -> BoolArray:
-        """Which outputs (n_out,) are spool speeds."""
         return speeds_of(self.output_names)
 
     @property
@@ -141,10 +135,7 @@ class LumpedEngine:
 
     @cached_property
     def order(self) -> IntArray:
-        """Columns with the core first, then the fan (if there is one), then the others.
-
-        Raises `ModelError` for a governed engine without the speeds of a fan and a core.
-        """
+        """Columns with the core first, then the fan (if there is one), then the others."""
         columns, speeds = np.arange(len(self.output_names)), np.flatnonzero(self.speeds)
         if self.governed and len(speeds) < 2:
             raise ModelError(
@@ -213,7 +204,7 @@ class LumpedEngine:
         `measured` (T, n_out) deviations, where they are finite, replace the model's own before each
         step (one-step prediction). Of `outputs` see `compiled`.
         """
-        return run(self.compiled(outputs), drive, starts, _rows(measured, drive), dt_s)
+        return free_run(self.compiled(outputs), drive, starts, _rows(measured, drive), dt_s)
 
     def slopes(
         self,
@@ -229,7 +220,7 @@ class LumpedEngine:
         for first in range(0, len(free), WIDTH):
             some = free[first : first + WIDTH]
             dual = engine._replace(theta=seeded(self.theta, some))
-            numbers, _ = run(dual, drive, starts, _rows(measured, drive), dt_s)
+            numbers, _ = free_run(dual, drive, starts, _rows(measured, drive), dt_s)
             parts.append(numbers[::every, columns, 1 : 1 + len(some)])
         return np.concatenate(parts, axis=2)
 
@@ -241,25 +232,17 @@ class LumpedEngine:
         return self.run(drive, (AT_START, first[None]), dt_s, measured)[0]
 
     def to_arrays(self) -> tuple[dict[str, Any], dict[str, FloatArray]]:
-        """Split into JSON-able structure and named arrays, for the bundle."""
         names = {"output_names": list(self.output_names)}
-        own = {"form": _FORM} if self.governed else {"parameter_names": list(LIMITED)}
+        own = {"form": "governed"} if self.governed else {"parameter_names": list(LIMITED)}
         return {**own, **names}, {**self.arrays, **{name: getattr(self, name) for name in _SCALES}}
 
     @classmethod
     def from_arrays(cls, meta: Mapping[str, Any], arrays: Mapping[str, FloatArray]) -> Self:
-        """Rebuild from `to_arrays`.
-
-        Raises `ModelError` for another form, and where an array is missing or misshapen.
-        """
+        """Rebuild from `to_arrays`; `ModelError` where an array is missing or misshapen."""
         names = tuple(meta["output_names"])
-        form = meta.get("form")
-        hint = "Train again if another version of narxcal wrote the folder"
-        if form not in {None, _FORM}:
-            raise ModelError(f"the lags are of form {form!r}, expected {_FORM!r}", hint=hint)
-        shapes = shapes_of(len(names), governed=form is not None)
+        shapes = shapes_of(len(names), governed="form" in meta)
         scales = dict.fromkeys(_SCALES, (len(names),))
-        found = shaped(arrays, shapes | scales, "lag array", hint)
+        found = shaped(arrays, shapes | scales, "lag array")
         return cls.of(names, found, found)
 
 
@@ -276,3 +259,42 @@ def core_of(names: Sequence[str]) -> int:
 def _rows(measured: FloatArray | None, drive: Drive) -> FloatArray:
     none = np.empty((0, drive.ss.shape[1]))
     return none if measured is None else np.ascontiguousarray(measured)
+
+
+@compiled(exact=False)
+def free_run(
+    engine: Engine,
+    drive: Drive,
+    starts: tuple[IntArray, FloatArray],
+    measured: FloatArray,
+    dt_s: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Deviations (T, o) and the states (`ROWS`, o) at the end; of dual numbers with slopes behind.
+
+    `starts` are positions (n,) at which a window begins, and the states there (n, `ROWS`, o).
+    `measured` (T, o), if it has rows, replaces the deviation before each step where it is finite
+    (one-step prediction). Columns that are not in `engine.outputs` stay zero.
+    """
+    count = drive.ss.shape[1]
+    found = np.zeros(drive.ss.shape + engine.theta.shape[1:])
+    x = np.zeros((ROWS, count) + engine.theta.shape[1:])  # noqa: RUF005 (numba unpacks no tuples)
+    window = 0
+    for k in range(len(found)):
+        if window < len(starts[0]) and starts[0][window] == k:
+            for row in range(ROWS):
+                for o in range(count):
+                    put(x, (row, o), starts[1][window, row, o])
+            window += 1
+        else:
+            for o in range(count if len(measured) > 0 else 0):
+                if math.isfinite(measured[k - 1, o]):
+                    slow = get(x, (SOAK, o)) + get(x, (CASING, o))
+                    put(x, (FAST, o), measured[k - 1, o] - slow)
+            if engine.governed:
+                governed(engine, drive, x, k, dt_s)
+            else:
+                limited(engine, drive, x, k, dt_s)
+        for j in range(len(engine.outputs)):
+            o = engine.outputs[j]
+            put(found, (k, o), deviation(x, o))
+    return found, x

@@ -48,5 +48,4 @@ def warmed(
 
 @compiled(exact=False)
 def opening(metal: float, casing: float) -> float:
-    """How far the clearances are open."""
     return clip(metal - casing, 0.0, math.inf)

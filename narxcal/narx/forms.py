@@ -68,11 +68,9 @@ class Ensemble:
 
     @property
     def output_scaling(self) -> Scaling:
-        """Scaling of the outputs, the same of all members."""
         return self.members[0].output_scaling
 
     def simulate(self, u: FloatArray, start: FloatArray) -> FloatArray:
-        """Free run (time, outputs) over `u` (time, inputs) from `start` (n, outputs)."""
         return self._joined([member.simulate(u, start) for member in self.members])
 
     def predict(self, u: FloatArray, y: FloatArray, steps: int = 1) -> FloatArray:
@@ -105,7 +103,7 @@ def pack(model: DynamicModel) -> tuple[dict[str, Any], dict[str, FloatArray]]:
 
 def unpack(meta: Mapping[str, Any], arrays: Mapping[str, FloatArray]) -> DynamicModel:
     """Rebuild what `pack` made; `ModelError` where a part is missing or unusable."""
-    kind = meta.get("kind", "network")
+    kind = meta.get("kind")
     if kind == "network":
         return NarxModel.from_arrays(meta, arrays)
     if kind == "latent":

@@ -93,7 +93,6 @@ def _tanh(x: float) -> float:
 
 @compiled
 def tanh_of(x: FloatArray, found: FloatArray) -> None:
-    """Write tanh(x) to `found`, both (n,)."""
     for i in range(len(x)):
         found[i] = _tanh(x[i])
 

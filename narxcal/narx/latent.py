@@ -204,12 +204,10 @@ class Shape:
 
     @property
     def width(self) -> int:
-        """Length of v."""
         return self.states + self.inputs + 1
 
     @property
     def size(self) -> int:
-        """Length of theta."""
         rows = self.states + self.outputs
         return rows * (self.width + self.hidden) + self.hidden * self.width
 
@@ -269,7 +267,6 @@ class LatentModel:
 
     @cached_property
     def parts(self) -> Parts:
-        """L, M and W."""
         return self.shape.parts(self.theta)
 
     def _inputs(self, u: FloatArray) -> FloatArray:

@@ -13,10 +13,10 @@ import torch
 from torch import Tensor, nn
 
 from narxcal.narx.config import NarxConfig
-from narxcal.narx.network import Weights
+from narxcal.narx.network import NAMES, Weights
 from narxcal.support.arrays import FloatArray
 
-PARAMETER_ORDER = ("hidden.weight", "hidden.bias", "output.weight", "output.bias", "linear.weight")
+PARAMETER_ORDER = NAMES[:5]  # without the bounds
 
 
 class NarxNet(nn.Module):

@@ -41,12 +41,11 @@ class Weights:
     @classmethod
     def of(cls, config: NarxConfig, arrays: Mapping[str, FloatArray]) -> Self:
         """Take the arrays by their names in the PyTorch module."""
-        return cls(config, *(arrays[name] for name in _NAMES))
+        return cls(config, *(arrays[name] for name in NAMES))
 
     def named(self) -> dict[str, FloatArray]:
-        """The arrays by their names in the PyTorch module."""
         arrays = (self.w1, self.b1, self.w2, self.b2, self.a, self.low, self.high)
-        return dict(zip(_NAMES, arrays, strict=True))
+        return dict(zip(NAMES, arrays, strict=True))
 
     @property
     def outputs(self) -> int:
@@ -152,7 +151,7 @@ def _padded(weights: FloatArray) -> FloatArray:
     return padded
 
 
-_NAMES = (
+NAMES = (
     "hidden.weight", "hidden.bias", "output.weight", "output.bias", "linear.weight", "low", "high",
 )  # fmt: skip
 
@@ -269,7 +268,6 @@ class NarxModel:
 
     @property
     def weights(self) -> Weights:
-        """The network's arrays as they are now."""
         return self.network if isinstance(self.network, Weights) else self.network.weights()
 
     @property
@@ -330,7 +328,6 @@ class NarxModel:
         return result
 
     def to_arrays(self) -> tuple[dict[str, Any], dict[str, FloatArray]]:
-        """Split into JSON-able structure and named arrays, for the bundle."""
         meta = {
             "config": self.config.model_dump(mode="json"),
             "inputs": self.inputs,
@@ -355,7 +352,6 @@ def shaped(
     arrays: Mapping[str, FloatArray],
     shapes: Mapping[str, tuple[int, ...]],
     what: str,
-    hint: str | None = None,
 ) -> dict[str, FloatArray]:
     """Copy stored arrays; raises `ModelError` for `what` is missing or of another shape."""
     kept = {}
@@ -364,7 +360,7 @@ def shaped(
         if found is None or found.shape != shape:
             given = None if found is None else found.shape
             problem = f"{what} '{name}' has to be of shape {shape}, found {given}"
-            raise ModelError(problem, hint=hint)
+            raise ModelError(problem)
         kept[name] = np.array(found, dtype=np.float64)
     return kept
 

@@ -18,7 +18,7 @@ text does not print are marked as reconstructions.
 | zeta, omega | damping ratio and natural frequency of the flowmeter | -, rad/s |
 
 Sensitivities by complex step: every block accepts complex parameters, and comparisons (`play`,
-saturation, signs) use real parts only. With a step of 1e-20 the imaginary part is then the exact
+signs) use real parts only. With a step of 1e-20 the imaginary part is then the exact
 derivative almost everywhere, as in forward-mode automatic differentiation (Martins, Sturdza,
 Alonso, ACM TOMS 29(3), 2003); smoothing of play is not needed. At a change of contact the
 derivative is one-sided.
@@ -54,7 +54,6 @@ class LinearSystem:
 
     @staticmethod
     def gain(D: ArrayLike) -> LinearSystem:
-        """Make the static system y = D u."""
         d = np.atleast_2d(np.asarray(D))
         outputs, inputs = d.shape
         return LinearSystem(np.zeros((0, 0)), np.zeros((0, inputs)), np.zeros((outputs, 0)), d)
@@ -84,8 +83,6 @@ class LinearSystem:
         Only outputs without direct feedthrough may be fed back (K D = 0).
         """
         gains = np.atleast_2d(np.asarray(K))
-        if np.any(gains @ self.D):
-            raise ModelError("an output with direct feedthrough is fed back: an algebraic loop")
         back = gains @ self.C
         return LinearSystem(self.A + self.B @ back, self.B, self.C + self.D @ back, self.D)
 
@@ -94,8 +91,6 @@ class LinearSystem:
 
         With z = x - tau B u the derivative of u is gone: z' = A z + (B + tau A B) u.
         """
-        if np.any(self.D):
-            raise ModelError("a lead needs a system without direct feedthrough")
         return LinearSystem(
             self.A, self.B + tau_s * (self.A @ self.B), self.C, tau_s * (self.C @ self.B)
         )
@@ -150,7 +145,7 @@ def recursion(phi: Values, drive: Values, start: Values) -> Values:
     return _recursion(*given)
 
 
-def _complex(values: ArrayLike) -> Values:
+def as_complex(values: ArrayLike) -> Values:
     return np.ascontiguousarray(values, dtype=np.complex128)
 
 
@@ -217,7 +212,6 @@ class Rotors:
     alpha: complex
 
     def system(self) -> LinearSystem:
-        """Give the linear system with states and outputs (N_H, N_L)."""
         A = [
             [-1.0 / self.tau_H, 0.0],
             [self.C_HL * (1.0 - self.alpha) / self.tau_L, -1.0 / self.tau_L],
@@ -242,7 +236,7 @@ def play(
     inputs = np.asarray(u)
     r = half_width + proportional * inputs * np.sign(inputs.real)
     first = inputs[0] if start is None else start
-    result = _play(_complex(inputs - r), _complex(inputs + r), complex(first))
+    result = _play(as_complex(inputs - r), as_complex(inputs + r), complex(first))
     return _as_given(result, inputs, r, first)
 
 
@@ -266,105 +260,38 @@ def _play(low: Values, high: Values, start: complex) -> Values:
 
 @dataclass(frozen=True, kw_only=True)
 class Governor:
-    """Speed governor: error eps = N_c - N_H -> fuel flow by the orifice, w = W_F - N_H/C_FB.
+    """Speed governor: W_F = K_AF (N_c - N_H) + N_H/C_FB + W_F0.
 
-        eps' = play[eps; d2],   A = clip(eps' + mu eps' |eps'|, A_low, A_high),   w = K_AF A + W_F0
-
-    Reconstruction: the orifice's quadratic term is written with a sign to keep it odd, and the
-    linear law is the slope of equation 3, W_F = K_p (g1 + g2 X_c - g3 N_H^2) N_H, whose last factor
-    is the pressure-drop governor's positive feedback N_H/C_FB. In saturation only that is left.
-    In percent of full flow the slope W_0/N_0 of equation 3 would be 1, not 1/C_FB = 8.8: the unit
-    of fuel flow is not stated by the paper; dynamics do not depend on it.
+    Reconstruction: the law is the slope of equation 3, W_F = K_p (g1 + g2 X_c - g3 N_H^2) N_H,
+    whose last factor is the pressure-drop governor's positive feedback N_H/C_FB. In percent of full
+    flow the slope W_0/N_0 of equation 3 would be 1, not 1/C_FB = 8.8: the unit of fuel flow is not
+    stated by the paper; dynamics do not depend on it. Hysteresis of the governor, a quadratic
+    orifice and its saturation, of which the paper has no significant estimate, are left out.
     """
 
     K_AF: complex
     C_FB: complex
-    d2: complex = 0.0
-    mu: complex = 0.0
-    A_low: complex = -np.inf
-    A_high: complex = np.inf
     W_F0: complex = 0.0
 
-    @property
-    def is_linear(self) -> bool:
-        """Whether the law is w = K_AF eps + W_F0."""
-        unlimited = np.isneginf(self.A_low.real) and np.isposinf(self.A_high.real)
-        return bool(self.d2 == 0 and self.mu == 0 and unlimited)
-
     def engine(self, rotors: LinearSystem) -> LinearSystem:
-        """Rotors with the positive feedback, w -> (N_H, N_L, W_F)."""
+        """Rotors with the positive feedback, W_F - N_H/C_FB -> (N_H, N_L, W_F)."""
         with_fuel = rotors.beside(LinearSystem.gain([[1.0]]))
         return with_fuel.feedback([[1.0 / self.C_FB, 0.0, 0.0]])
 
     def closed_loop(self, plant: LinearSystem) -> LinearSystem:
-        """Close the linear law around `plant`; its input is K_AF N_c + W_F0."""
+        """Close the law around `plant`; its input is K_AF N_c + W_F0."""
         row = np.zeros((1, len(plant.C)))
         row[0, 0] = 1.0
         return plant.feedback(-self.K_AF * row)
 
     def respond(
-        self,
-        plant: LinearSystem,
-        N_c: ArrayLike,
-        dt_s: float,
-        substeps: int = 4,
-        shift: ArrayLike = 0.0,
+        self, plant: LinearSystem, N_c: ArrayLike, dt_s: float, shift: ArrayLike = 0.0
     ) -> Values:
-        """Outputs (time, p) of `plant` (w -> outputs, the first of them N_H) under the governor.
+        """Outputs (time, p) of `plant`, the first of them N_H, under the governor.
 
-        Starts `shift` (n,) away from the equilibrium of N_c(0); N_c is linear between samples. A
-        linear law is
-        discretised exactly with its loop closed. Otherwise w is linear over `substeps` per sample
-        and found by one predictor-corrector step: the error is of second order in the substep.
+        Starts `shift` (n,) away from the equilibrium of N_c(0); N_c is linear between samples.
         """
-        command = np.asarray(N_c)
         closed = self.closed_loop(plant)
-        drive = self.K_AF * command + self.W_F0
+        drive = self.K_AF * np.asarray(N_c) + self.W_F0
         start = closed.equilibrium(drive[:1]) + np.asarray(shift)
-        if self.is_linear:
-            return closed.respond(drive, dt_s, start=start)
-        phi, f, e = plant.discretise(dt_s / substeps)
-        law = (self.K_AF, self.d2, self.mu, self.A_low, self.A_high, self.W_F0)
-        states, w = _governed(
-            (_complex(phi), _complex(f[:, 0]), _complex(e[:, 0])),
-            (_complex(command), _complex(start), _complex(plant.C[0])),
-            _complex(law),
-            substeps,
-        )
-        outputs = states @ plant.C.T + w[:, None] @ plant.D.T
-        return _as_given(outputs, command, phi, f, law)
-
-
-@compiled
-def _orifice(error: complex, backlash: complex, law: Values) -> tuple[complex, complex]:
-    """Fuel flow by the orifice and the state of the inner play."""
-    moved = _between(backlash, error - law[1], error + law[1])
-    size = moved if moved.real >= 0 else -moved
-    area = _between(moved + law[2] * moved * size, law[3], law[4])
-    return law[0] * area + law[5], moved
-
-
-@compiled
-def _governed(
-    step: tuple[Values, Values, Values],
-    run: tuple[Values, Values, Values],
-    law: Values,
-    substeps: int,
-) -> tuple[Values, Values]:
-    """States (time, n) and w (time,) with the loop closed by predictor-corrector substeps."""
-    phi, f, e = step
-    command, x, row = run
-    states = np.empty((len(command), len(x)), dtype=np.complex128)
-    flows = np.empty(len(command), dtype=np.complex128)
-    error = command[0] - (row * x).sum()
-    w, backlash = _orifice(error, error, law)
-    states[0], flows[0] = x, w
-    for k in range(1, len(command)):
-        for s in range(1, substeps + 1):
-            demand = command[k - 1] + (command[k] - command[k - 1]) * (s / substeps)
-            free = phi @ x + f * w
-            w_end, _ = _orifice(demand - (row * (free + e * w)).sum(), backlash, law)
-            x = free + e * w_end
-            w, backlash = _orifice(demand - (row * x).sum(), backlash, law)
-        states[k], flows[k] = x, w
-    return states, flows
+        return closed.respond(drive, dt_s, start=start)

@@ -105,11 +105,6 @@ _CONTROL: Final = (
         "C_FB", 0.1, 0.01, 1.0, "%/unit", "1/C_FB: feedback of the pressure drop", tied_to="C_FH"
     ),
     _fixed("W_F0", 0.0, "unit", "fuel flow offset; with N_HO a single parameter"),
-    _fixed("d1", 0.0, "%", "hysteresis outside the governor, half width"),
-    _fixed("d2", 0.0, "%", "hysteresis inside the governor, half width"),
-    _fixed("mu", 0.0, "1/%", "quadratic term of the orifice"),
-    _fixed("A_low", -np.inf, "%", "lower saturation of the metering area"),
-    _fixed("A_high", np.inf, "%", "upper saturation of the metering area"),
     Parameter("zeta", 0.3, 0.02, 1.5, "-", "damping ratio of the flowmeter"),
     Parameter("omega", 13.0, 2.0, 60.0, "rad/s", "natural frequency of the flowmeter"),
     _fixed("K_SF", 1.0, "-", "scale factor of the flowmeter; with C_FH a single parameter"),
@@ -168,7 +163,7 @@ class EngineFromFuel:
         """Outputs (time, 4) for fuel flow u (time, 1)."""
         chain = rotor_block(values).then(speeds_and_pressures(values, 2))
         system = chain.lead(values["tau_M"])
-        start = system.equilibrium(u[0]) + _state(values, _STARTS, len(system.A))
+        start = system.equilibrium(u[0]) + _shift(values, len(system.A))
         offsets = np.array([values[name] for name in ("N_HO", "N_LO", "P_TO", "P_DO")])
         return np.asarray(system.respond(u, self.dt_s, start=start) + offsets)
 
@@ -189,14 +184,13 @@ class EngineAndControl:
     def simulate(self, values: Parameters, u: FloatArray) -> Values:
         """Outputs (time, 6) for commanded deflections u (time, 1) in degrees."""
         delta_T = deflection(values, u[:, 0])
-        N_c = play(values["K_TH"] * delta_T, values["d1"])
-        names = ("K_AF", "C_FB", "d2", "mu", "A_low", "A_high", "W_F0")
-        governor = Governor(**{name: values[name] for name in names})
+        N_c = values["K_TH"] * delta_T
+        governor = Governor(**{name: values[name] for name in ("K_AF", "C_FB", "W_F0")})
         engine = governor.engine(rotor_block(values))
         fuel = LinearSystem.gain(np.eye(3)[2:])
         meter = fuel.then(flowmeter(*(values[name] for name in ("zeta", "omega", "K_SF"))))
         plant = engine.then(speeds_and_pressures(values, 3).beside(meter))
-        shift = _state(values, _STARTS, len(plant.A))
+        shift = _shift(values, len(plant.A))
         N_H, N_L, P_E, P_D, W_m = governor.respond(plant, N_c, self.dt_s, shift=shift).T
         return np.column_stack([
             values["b0"] + values["b1"] * delta_T,
@@ -340,9 +334,9 @@ def steady_drive(
     return np.hstack([values, slopes])
 
 
-def _state(values: Parameters, names: Sequence[str], size: int) -> Values:
-    """State of `size` with the named values first and zeros behind them."""
-    given = [values.get(name, 0.0) for name in names][:size]
+def _shift(values: Parameters, size: int) -> Values:
+    """How far a state of `size` begins from equilibrium: `_STARTS` first, zeros behind them."""
+    given = [values.get(name, 0.0) for name in _STARTS][:size]
     return np.array([*given, *[0.0] * (size - len(given))])
 
 

@@ -169,14 +169,7 @@ def outside(model: StaticModel, columns: Columns) -> NDArray[np.bool_]:
 
 @registered("corrected")
 def corrected(base: StaticModel, correction: StaticModel) -> StaticModel:
-    """Add a black-box model to `base` (eq. 20): F = F_th + sum p_ij x_1^i x_2^j.
-
-    The parameters are those of `base`, then those of `correction`.
-    """
-    if correction.output != base.output:
-        raise ConfigError(
-            f"the correction of '{base.name}' models {correction.output}, expected {base.output}"
-        )
+    """Add a black-box model to `base` (eq. 20): F = F_th + sum p_ij x_1^i x_2^j."""
     count = len(base.parameters)
 
     def equation(p: FloatArray, columns: Columns) -> FloatArray:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, is_dataclass, replace
 from functools import wraps
 from inspect import signature
-from typing import Any, ClassVar, ParamSpec, Protocol, Self
+from typing import Any, ClassVar, ParamSpec, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,6 +22,7 @@ from narxcal.steady.model import (
     Arrays,
     BoxModel,
     Envelope,
+    SteadyStateModel,
     register_steady,
     stored,
     stored_names,
@@ -77,19 +78,12 @@ class StaticModel:
     undefined: str = "a value is not finite"
     recipe: Mapping[str, Any] = field(default_factory=dict)
 
-    def __post_init__(self) -> None:
-        names = [parameter.name for parameter in self.parameters]
-        if len(set(names)) < len(names):
-            raise ConfigError(f"{self.name}: two parameters have the same name in {names}")
-
     @property
     def starts(self) -> FloatArray:
-        """Start values (P,)."""
         return np.array([parameter.start for parameter in self.parameters])
 
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray]:
-        """Low and high (P,)."""
         low = np.array([parameter.low for parameter in self.parameters])
         return low, np.array([parameter.high for parameter in self.parameters])
 
@@ -125,8 +119,6 @@ class StaticModel:
 
     def with_start(self, name: str, value: float) -> StaticModel:
         """Same model, with another start value of one parameter."""
-        if name not in {p.name for p in self.parameters}:
-            raise ModelError(f"'{self.name}' has no parameter named {name}")
         changed = (replace(p, start=value) if p.name == name else p for p in self.parameters)
         return replace(self, parameters=tuple(changed))
 
@@ -174,17 +166,7 @@ def _made(value: Any) -> Any:
     return build(value) if isinstance(value, dict) and "model" in value else value
 
 
-class SteadyEngine(Protocol):
-    """Steady-state engine model, for example the virtual engine."""
-
-    @property
-    def input_names(self) -> tuple[str, ...]: ...
-    @property
-    def output_names(self) -> tuple[str, ...]: ...
-    def outputs(self, inputs: ArrayLike) -> FloatArray: ...
-
-
-def component_level(engine: SteadyEngine, output: str, inputs: Iterable[str]) -> StaticModel:
+def component_level(engine: SteadyStateModel, output: str, inputs: Iterable[str]) -> StaticModel:
     """Component-level model (CLM): `scale` times the `output` of an engine model.
 
     `inputs` are the columns that drive it; its other inputs are zero.
@@ -208,7 +190,6 @@ def unpack(parameters: FloatArray) -> FloatArray:
 
 
 def ambient(columns: Columns) -> AirState:
-    """Air ahead of the engine."""
     return air_state(columns["ALT_ft"], columns["Mach"], columns["dT_C"])
 
 

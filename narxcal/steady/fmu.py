@@ -67,11 +67,9 @@ class SteadyFmu(BoxModel):
         return type(self), (self.path, (self.input_names, self.output_names), self.options)
 
     def files(self) -> tuple[str, ...]:
-        """Return the FMU, which a bundle copies."""
         return (str(self.path),)
 
     def to_arrays(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        """Return file, hash, names and options; there are no arrays."""
         meta = {
             "file": str(self.path.resolve()),
             "sha256": sha256_of(self.path),

@@ -110,10 +110,7 @@ class SteadyCallable(BoxModel):
         ranges: Ranges | None = None,
         folder: str | PathLike[str] = ".",
     ) -> Self:
-        """Import `module:function`; a module that is not installed is looked for in `folder`.
-
-        Raises `ConfigError` if there is no such module or function.
-        """
+        """Import `module:function`; a module that is not installed is looked for in `folder`."""
         function, file = import_function(reference, folder)
         return cls(function, names, ranges, reference, str(file))
 
@@ -145,7 +142,6 @@ class SteadyCallable(BoxModel):
         return found
 
     def to_arrays(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        """Return reference, hash of the module's file, names and envelope."""
         if self.reference is None or self.file is None:
             raise ModelError(
                 "a steady-state function without a module cannot be stored in a bundle",

@@ -118,10 +118,7 @@ class Envelope:
     def from_ranges(
         cls, names: Sequence[str], ranges: Mapping[str, tuple[float, float]] | None
     ) -> Self:
-        """Build the box from `{name: (low, high)}`; an input without a range is unbounded.
-
-        Raises `ModelError` for a range that is empty or names no input.
-        """
+        """Build the box from `{name: (low, high)}`; an input without a range is unbounded."""
         ranges = ranges or {}
         for name, (low, high) in ranges.items():
             if name not in names:

@@ -67,10 +67,7 @@ def open_steady(
 def steady_to_json(
     model: SteadyStateModel,
 ) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Split a model into a JSON-able dict with its `kind` and a dict of arrays.
-
-    Raises `ModelError` if the model cannot be stored.
-    """
+    """Split a model into a JSON-able dict with its `kind` and a dict of arrays."""
     if not isinstance(model, StorableSteadyState):
         raise ModelError(
             f"steady-state model {type(model).__name__} cannot be stored in a bundle",
@@ -103,10 +100,7 @@ def steady_from_json(
 
 
 def refuse_code(section: Mapping[str, Any]) -> None:
-    """Refuse [steady_state] of a run that would execute something where it is opened.
-
-    Raises `ModelError` naming what would run.
-    """
+    """Refuse [steady_state] of a run that would execute something where it is opened."""
     kind, source = section.get("kind"), str(section.get("source", ""))
     if kind == "callable":
         from narxcal.steady.function import BUILT_IN  # noqa: PLC0415 -- only where it is used

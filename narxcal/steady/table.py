@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from io import StringIO
 from os import PathLike
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, Self, get_args
+from typing import Any, ClassVar, Self, get_args
 
 import numpy as np
 import pandas as pd
@@ -108,14 +108,6 @@ def _interpolate(
     return result
 
 
-class _Interpolant(Protocol):
-    """Evaluates `(n, n_in)` finite inputs inside or outside the envelope."""
-
-    def values(self, inputs: FloatArray) -> FloatArray: ...
-
-    def inside(self, inputs: FloatArray) -> BoolArray: ...
-
-
 @register_steady
 class SteadyTable:
     """Interpolates `values` `(n, n_out)` known at `points` `(n, n_in)`.
@@ -149,7 +141,7 @@ class SteadyTable:
         self.envelope = Envelope.of(self.points)
         axes = _grid_axes(self.points)
         self.gridded = axes is not None
-        self._interpolant: _Interpolant = (
+        self._interpolant: _Grid | _Scatter = (
             _Scatter(self.points, self.values)
             if axes is None
             else _Grid(axes, _on_grid(self.points, self.values, axes), method)
@@ -208,7 +200,6 @@ class SteadyTable:
         return result.reshape(array.shape[:-1])
 
     def to_arrays(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        """Names and method; `points` and `values`."""
         meta = {
             "input_names": list(self.input_names),
             "output_names": list(self.output_names),
@@ -226,21 +217,14 @@ class SteadyTable:
 
 class _Grid:
     def __init__(self, axes: list[FloatArray], values: FloatArray, method: Method) -> None:
-        self._box = Envelope(
-            np.array([axis[0] for axis in axes]), np.array([axis[-1] for axis in axes])
-        )
+        ends = (np.array([axis[end] for axis in axes]) for end in (0, -1))
+        self.inside = Envelope(*ends).inside
         if method == "pchip":
             fine = _refined(axes[0])
             values = PchipInterpolator(axes[0], values, axis=0)(fine)
             axes = [fine, *axes[1:]]
         self.grid = (tuple(axes), values)
-        self._interpolate = Multilinear.of(axes, values)
-
-    def values(self, inputs: FloatArray) -> FloatArray:
-        return self._interpolate(inputs)
-
-    def inside(self, inputs: FloatArray) -> BoolArray:
-        return self._box.inside(inputs)
+        self.values = Multilinear.of(axes, values)
 
 
 class _Scatter:
@@ -319,9 +303,6 @@ def read_steady_table(
     may have decimal commas. By default the channels with the role of an output are the outputs and
     the others the inputs; name them where one is otherwise (fuel flow as the driver). Further
     columns are ignored.
-
-    Raises `DataError` naming file, row (line of the file) and value, and `ConfigError` for a
-    name that is no channel.
     """
     file = Path(path)
     cells = _read_cells(file)

@@ -30,17 +30,10 @@ from os import PathLike
 from pathlib import Path
 from typing import IO, Any, TextIO
 
-import numpy as np
-from numpy.typing import ArrayLike
-
 from narxcal.support.errors import ConfigError
 
 STDOUT = Path("-")
-TIME_FORMAT = "%.15g"
-_BLOCK_ROWS = 1000  # of a table in text: within a processor's cache
 _DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS}
-# A spreadsheet takes a cell that begins with one of these for a formula.
-_FORMULA = ("=", "+", "-", "@", "\t", "\r")
 
 
 # --- writing ---
@@ -50,8 +43,6 @@ def atomic_write_bytes(path: str | PathLike[str], data: bytes) -> None:
     """Write `data` to `path`, replacing what was there only once all of it is on the disk.
 
     `-` is the standard output; a device, a pipe or a socket is written to as it is.
-
-    Raises `ConfigError` if it cannot be written; the former file is then untouched.
     """
     target = Path(path)
     if in_place(target):
@@ -79,8 +70,6 @@ def atomic_stream(path: str | PathLike[str], *, live: bool = False) -> Iterator[
     On any error, Ctrl-C included, it is removed and `path` stays as it was. A `live` one is
     named `NAME.part` until then, so that others can read it while it grows. `-`, devices and pipes
     are written in place.
-
-    Raises `ConfigError` if it cannot be written, and for a `NAME.part` that is there already.
     """
     target = Path(path)
     if in_place(target):
@@ -110,8 +99,6 @@ def atomic_folder(path: str | PathLike[str], replaced: Results | None = None) ->
     On any error, Ctrl-C included, the temporary folder is removed and `path` stays as it
     was. An existing folder with content is refused, unless it is a `replaced` one that holds
     nothing else: that is deleted once the new one stands.
-
-    Raises `ConfigError` as `check_output_folder`, and if the disk refuses the content.
     """
     target = check_output_folder(path, replaced)
     part = _temporary(target, "part")
@@ -160,8 +147,6 @@ def check_file(out: Path, *inputs: Path, overwrite: bool = False) -> None:
 
     `inputs` are files and folders that the command reads: nothing there is ever written over.
     `-`, devices and pipes are good as they are.
-
-    Raises `ConfigError`.
     """
     if in_place(out):
         return
@@ -236,10 +221,7 @@ def _check_folder(path: Path, target: Path) -> None:
 
 
 def check_writable(path: str | PathLike[str]) -> None:
-    """Refuse, before any work is done, a place whose disk takes nothing; leaves nothing there.
-
-    Raises `ConfigError` as the writing itself would.
-    """
+    """Refuse, before any work is done, a place whose disk takes nothing; leaves nothing there."""
     target = Path(path).absolute()
     ground = next(folder for folder in (*target.parents, target) if folder.exists())
     probe = _temporary(ground / target.name, "part")
@@ -264,10 +246,7 @@ class Results:
     pattern: str = ""
 
     def check(self, folder: Path) -> None:
-        """Refuse, before any work is done, a folder with content that this command never wrote.
-
-        Raises `ConfigError`, also for one that cannot be written.
-        """
+        """Refuse, before any work is done, a folder with content that this command never wrote."""
         check_output_folder(folder, self)
 
     def check_content(self, folder: Path, target: Path) -> None:
@@ -296,7 +275,6 @@ class Results:
 
     @contextmanager
     def writing(self, folder: Path) -> Iterator[Path]:
-        """Yield a temporary folder that takes the place of `folder` when the block ends well."""
         with atomic_folder(folder, self) as part:
             yield part
 
@@ -307,7 +285,6 @@ class Results:
             (folder / name).write_text(page, encoding="utf-8")
 
     def save(self, folder: Path, document: Mapping[str, Any], *pages: str) -> None:
-        """Put a folder of the document and the pages in the place of `folder`."""
         with self.writing(folder) as part:
             self.write(part, document, *pages)
 
@@ -331,46 +308,14 @@ def finite(value: Any) -> Any:
     return value
 
 
-def log_csv(channels: Mapping[str, ArrayLike], digits: int = 9) -> str:
-    """Format a log as CSV: a header of the channel names, one row per sample, NaN as nothing.
-
-    `time_s` has 15 significant digits, other channels `digits`.
-    """
-    return "".join(csv_blocks(channels, digits))
-
-
-def csv_blocks(channels: Mapping[str, ArrayLike], digits: int = 9) -> Iterator[str]:
-    """Yield the text of `log_csv` in blocks, so that no more than one takes memory."""
-    yield ",".join(channels) + "\n"
-    number = f"%.{digits}g"
-    form = ",".join(TIME_FORMAT if name == "time_s" else number for name in channels) + "\n"
-    columns = [np.asarray(values, float) for values in channels.values()]
-    for start in range(0, len(columns[0]), _BLOCK_ROWS):
-        table = np.column_stack([values[start : start + _BLOCK_ROWS] for values in columns])
-        # 0.0 is added, so that no -0 is printed.
-        rows = (table + 0.0).ravel().tolist()
-        yield (form * len(table) % tuple(rows)).replace("nan", "")
-
-
-def text_cell(text: str) -> str:
-    """Keep a spreadsheet from running a name in a CSV cell as a formula: prefix it with `'`."""
-    return f"'{text}" if text.startswith(_FORMULA) else text
-
-
 def is_file(path: Path) -> bool:
     """Whether there is such a file; a name that the system refuses, such as a long one, is none."""
-    try:
-        return path.is_file()
-    except OSError:
-        return False
+    return os.path.isfile(path)  # noqa: PTH113 -- `Path.is_file` raises for such a name
 
 
 def is_folder(path: Path) -> bool:
     """Whether there is such a folder, as `is_file`."""
-    try:
-        return path.is_dir()
-    except OSError:
-        return False
+    return os.path.isdir(path)  # noqa: PTH112 -- likewise
 
 
 def sha256_of(path: str | PathLike[str]) -> str:

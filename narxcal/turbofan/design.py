@@ -18,10 +18,12 @@ which follow from the eigenvalues of the engine linearised at constant fuel.
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import dataclass
-from typing import NamedTuple
+from importlib.resources import files
 
 import numpy as np
+from pydantic import TypeAdapter
 from scipy.optimize import brentq
 
 from narxcal.atmosphere import P0_PA, T0_K
@@ -39,7 +41,7 @@ from narxcal.turbofan.gas import (
     isentropic_temperature,
     temperature_at_enthalpy,
 )
-from narxcal.turbofan.lever import BUSINESS_JET, SINGLE_AISLE, Ratings
+from narxcal.turbofan.lever import Ratings
 from narxcal.turbofan.maps import BACKBONE, CompressorMap, TurbineMap
 from narxcal.turbofan.solve import (
     BLEED,
@@ -85,10 +87,7 @@ class Closed:
 
 
 def close(point: DesignPoint, shape: GasPath) -> Closed:
-    """Fill in the sizes of `shape`, whose exponents, losses and cooling shares are kept.
-
-    Raises `ValueError` if the turbines cannot drive the compressors.
-    """
+    """Fill in the sizes of `shape`, whose exponents, losses and cooling shares are kept."""
     static = (T0_K, P0_PA, 0.0)
     air = Air(*static, *fan_face(*static, point.recovery))
     re = float(reynolds_factor(shape.reynolds_loss, air))
@@ -199,16 +198,6 @@ def _area(flow: float, temperature: float, far: float, pressure: float) -> float
     return float(flow * temperature**0.5 / pressure / per_area)
 
 
-def _chart(flow_exponent: float, pressure_exponent: float, **shape: float) -> CompressorMap:
-    """Shape of a compressor map; `close` fills in its sizes."""
-    return CompressorMap(0.0, 0.0, 0.0, flow_exponent, pressure_exponent, **shape)
-
-
-def _preset_turbine(**shape: float) -> TurbineMap:
-    """Shape of a turbine map; `close` fills in its sizes."""
-    return TurbineMap(0.0, 0.0, 0.0, 0.0, **shape)
-
-
 @dataclass(frozen=True, kw_only=True)
 class Preset:
     """All numbers of one engine; `bleed` are shares of the HPC flow, `inertia` in kg m^2.
@@ -242,78 +231,11 @@ class Preset:
     governor_lag_s: float = 0.22  # valve, lines, burner, sensor and step together
 
 
-BUSINESS = Preset(
-    name="business_jet",
-    title="Business-jet turbofan of 11 kN, bypass ratio 2.7",
-    point=DesignPoint(
-        flow_kgps=37.85,
-        bypass_ratio=2.68,
-        fan_pressure_ratio=1.62,
-        lpc_pressure_ratio=2.10,
-        hpc_pressure_ratio=4.84,
-        T4_K=1268.0,
-        fan_efficiency=0.827,
-        lpc_efficiency=0.82,
-        hpc_efficiency=0.798,
-        hpt_efficiency=0.878,
-        lpt_efficiency=0.84,
-    ),
-    shape=GasPath(
-        fan=_chart(1.26, 2.06, best_speed=0.99, speed_loss=0.59, width=0.15, widening=0.5),
-        lpc=_chart(1.025, 1.80, best_speed=0.99, speed_loss=0.49, width=0.15, widening=0.5),
-        hpc=_chart(1.50, 2.25, best_speed=0.84, speed_loss=0.0, width=0.068, angle_loss=0.31),
-        hpt=_preset_turbine(choking=2.03, speed_loss=0.11),
-        lpt=_preset_turbine(choking=3.72, speed_loss=0.11),
-        handling_bleed=0.07,
-        handling_shut=0.71,
-    ),
-    ratings=BUSINESS_JET,
-    speed_pct=(94.0, 95.0),
-    speed_radps=(1580.0, 3260.0),
-    inertia=(1.35, 0.105),
-    accel_margins=(0.68, 0.27),
-    decel_margins=(0.18, 0.60),
-    clearance_pK=8e-5,
-    limits=(102.0, 1130.0),
-)
-AIRLINER = Preset(
-    name="single_aisle",
-    title="Single-aisle turbofan of 120 kN, bypass ratio 5.7",
-    point=DesignPoint(
-        flow_kgps=380.7,
-        bypass_ratio=5.7,
-        fan_pressure_ratio=1.72,
-        lpc_pressure_ratio=2.514,
-        hpc_pressure_ratio=10.88,
-        T4_K=1560.0,
-        fan_efficiency=0.92,
-        lpc_efficiency=0.88,
-        hpc_efficiency=0.88,
-        hpt_efficiency=0.91,
-        lpt_efficiency=0.92,
-    ),
-    shape=GasPath(
-        fan=_chart(1.0, 1.80, best_speed=1.0, speed_loss=0.123, width=0.15, widening=0.5),
-        lpc=_chart(1.10, 1.70, best_speed=0.955, speed_loss=0.577, width=0.15, widening=0.5),
-        hpc=_chart(2.82, 3.29, best_speed=0.97, speed_loss=0.0, width=0.05, angle_loss=0.40),
-        hpt=_preset_turbine(choking=2.0, speed_loss=0.765),
-        lpt=_preset_turbine(choking=1.574, speed_loss=0.433),
-        handling_bleed=0.238,
-        handling_shut=1.0,
-        vane_cooling=0.07,
-        rotor_cooling=0.05,
-    ),
-    ratings=SINGLE_AISLE,
-    speed_pct=(91.0, 96.0),
-    speed_radps=(476.0, 1454.0),
-    inertia=(60.0, 14.0),
-    offtake_W=70e3,
-    accel_margins=(1.30, 0.38),
-    decel_margins=(0.13, 0.55),
-    clearance_pK=5e-5,
-    limits=(105.0, 1340.0),
-)
-PRESETS = {preset.name: preset for preset in (BUSINESS, AIRLINER)}
+_TABLES = tomllib.loads(files(__package__).joinpath("engines.toml").read_text("utf-8"))
+PRESETS = {
+    name: TypeAdapter(Preset).validate_python({"name": name, **table})
+    for name, table in _TABLES.items()
+}
 
 
 def preset(name: str) -> Preset:
@@ -343,7 +265,7 @@ def control(
     N1c, N2c = n1 * preset.speed_pct[0], unknowns[:, POSITIONS] * preset.speed_pct[1]
     ratio = fuel / stations[:, Stations._fields.index("P3")]
     pairs = zip(conditions, unknowns, strict=True)
-    lags = np.array([linearised(machine, body, condition, x).lags_s for condition, x in pairs])
+    lags = np.array([rotor_lags_s(machine, body, condition, x) for condition, x in pairs])
     gain, reset, lead = governor(N1c, fuel, (lags[:, 0], lags[:, 1], preset.governor_lag_s))
     accel, decel = _limits(preset, N2c, ratio, margin)
     slopes = _topping_gains(fuel, N2c, stations)
@@ -355,10 +277,9 @@ def control(
         schedule_N2c_pct=N2c,
         accel_ratio=accel,
         decel_ratio=decel,
-        topping_limit=np.array([*preset.limits, np.inf]),
+        topping_limit=np.array(preset.limits),
         topping_gain=slopes,
-        topping_reset_s=np.full(3, float(lags[-1, 0])),
-        fuel_min_kgps=0.0,
+        topping_reset_s=np.full(2, float(lags[-1, 0])),
         lean_ratio=0.45 * float(ratio.min()),
     )
 
@@ -378,52 +299,37 @@ def _limits(
 
 
 def _topping_gains(fuel: FloatArray, N2c: FloatArray, stations: FloatArray) -> FloatArray:
-    """Fuel per unit of N2 (%), T45 (K) and Ps3 (Pa) along the top of the line."""
+    """Fuel per unit of N2 (%) and T45 (K) along the top of the line."""
     T45 = stations[:, Stations._fields.index("T45")]
-    P3 = stations[:, Stations._fields.index("P3")]
-    top = [float(x[-1] - x[-4]) for x in (N2c, T45, P3)]
+    top = [float(x[-1] - x[-4]) for x in (N2c, T45)]
     return _TOPPING_SHARE * 4.0 * float(fuel[-1] - fuel[-4]) / np.array(top)
 
 
-class Linear(NamedTuple):
-    """The engine about a steady point, for small changes of fuel.
-
-    `lags_s`: time constants of the rotors, slow and fast. `overshoot`: the response of T45 at
-    constant rotor speeds over its final response.
-    """
-
-    lags_s: tuple[float, float]
-    overshoot: float
-
-
-def linearised(machine: Machine, body: Body, condition: FloatArray, x: FloatArray) -> Linear:
-    """Linearise by central differences of both rotors' rates and T45, by speeds and fuel.
-
-    With `dn/dt = A n + b w` and `T = c n + d w` the final response to fuel is `d - c A^-1 b`.
-    """
+def rotor_lags_s(
+    machine: Machine, body: Body, condition: FloatArray, x: FloatArray
+) -> tuple[float, float]:
+    """Time constants of the rotors, slow and fast, about a steady point at constant fuel."""
     inertia = np.array([body.inertia1_J, body.inertia2_J])
 
-    def changes(at: FloatArray) -> FloatArray:
-        powers = _powers(machine, condition, x[:POSITIONS], at)
-        return np.array([*(powers[:2] / (inertia * at[:2])), powers[2]])
+    def rates(speeds: FloatArray) -> FloatArray:
+        at = np.array([*speeds, x[-1]])
+        return _powers(machine, condition, x[:POSITIONS], at) / (inertia * speeds)
 
-    at, step = np.array([condition[N1], *x[POSITIONS:]]), 1e-4
-    columns = [(changes(at + step * e) - changes(at - step * e)) / (2 * step) for e in np.eye(3)]
-    slopes = np.column_stack(columns)
-    values = np.linalg.eigvals(slopes[:2, :2])
+    at, step = np.array([condition[N1], x[POSITIONS]]), 1e-4
+    slopes = [(rates(at + step * e) - rates(at - step * e)) / (2 * step) for e in np.eye(2)]
+    values = np.linalg.eigvals(np.column_stack(slopes))
     fast, slow = sorted(float(-1.0 / value.real) for value in values)
-    final = slopes[2, 2] - slopes[2, :2] @ np.linalg.solve(slopes[:2, :2], slopes[:2, 2])
-    return Linear((slow, fast), float(slopes[2, 2] / final))
+    return slow, fast
 
 
 @compiled
 def _powers(
     machine: Machine, condition: FloatArray, positions: FloatArray, at: FloatArray
 ) -> FloatArray:
-    """Surplus powers of both rotors in W and T45 in K at speeds and fuel `at`, relative."""
+    """Surplus powers of both rotors in W at speeds and fuel `at`, relative."""
     air = inlet_air(machine, condition)
     fuel = machine.fuel_unit_kgps * at[2]
     run = Running(at[0], at[1], fuel, condition[BLEED], condition[OFFTAKE_W], 0.0, 0.0)
     engine = (machine.path, machine.health)
     stations, _ = solve(engine, air, run, positions.copy(), np.zeros((POSITIONS, POSITIONS)))
-    return np.array([stations.power1_W, stations.power2_W, stations.T45])
+    return np.array([stations.power1_W, stations.power2_W])

@@ -19,7 +19,7 @@ from narxcal.steady.model import BoxModel, Envelope, checked_inputs
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ModelError
 from narxcal.turbofan.cycle import POSITIONS, Health, Stations
-from narxcal.turbofan.design import Closed, Linear, Preset, close, control, linearised, preset
+from narxcal.turbofan.design import Closed, Preset, close, control, preset
 from narxcal.turbofan.fadec import FuelValveParameters, Sensed, steady_control, steady_valve
 from narxcal.turbofan.gas import fan_face
 from narxcal.turbofan.lever import LeverParameters, n1_command, resolver
@@ -137,20 +137,11 @@ class VirtualEngine(BoxModel):
         found |= {"fuel_kgps": fuel, "n1": conditions[:, N1], "n2": unknowns[:, POSITIONS]}
         return found | {f"{part}_angle": unknowns[:, j] for j, part in enumerate(COMPRESSORS)}
 
-    def linearised(self, inputs: ArrayLike) -> list[Linear]:
-        """Time constants of the rotors and overshoot of EGT at each row of `inputs` (n, 9)."""
-        conditions, unknowns, _ = self._steady_points(checked_inputs(inputs, self.input_names))
-        pairs = zip(conditions, unknowns, strict=True)
-        return [linearised(self._machine, self.settings.body, c, x) for c, x in pairs]
-
     def simulate(self, inputs: Mapping[str, FloatArray], dt_s: float) -> dict[str, FloatArray]:
         """Simulate a log sampled every `dt_s` seconds, from the steady state of its first sample.
 
         `inputs` maps `INPUT_NAMES` to (time,); the result maps `transient.COLUMNS` to (time,).
         The outputs are true values; only EGT is that of its probe, whose lag depends on the flow.
-
-        Raises `ModelError` if an input is missing or of another length, or if a sample lies
-        outside the envelope or does not converge.
         """
         u = _stacked(inputs)
         self._check(u, dt_s)
@@ -278,10 +269,7 @@ def _outside(u: FloatArray, outside: NDArray[np.bool_]) -> str:
 
 
 def maker_model(inputs: ArrayLike) -> NDArray[np.float64]:
-    """Steady N1, N2 and EGT (..., 3) at `inputs` (..., 9) of the business-jet engine.
-
-    Raises `ModelError` naming the condition that does not converge.
-    """
+    """Steady N1, N2 and EGT (..., 3) at `inputs` (..., 9) of the business-jet engine."""
     return _business_jet().outputs(inputs)[..., :3]
 
 

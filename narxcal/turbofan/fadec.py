@@ -15,7 +15,7 @@ do not wind up (external reset, Shinskey, *Process Control Systems*). With `tau`
 time constant, `reset` is the fuel that keeps the present speed, so after a slam the governor takes
 over in its proportional band and approaches without overshoot. Its error is extrapolated by `lead`
 along the rate of the sensed speed, which compensates the fast spool. Ceilings (acceleration
-schedule, toppings) are applied before floors (deceleration schedule, lean blow-out, minimum fuel).
+schedule, toppings) are applied before floors (deceleration schedule, lean blow-out).
 Each switch of the active loop is a minimum or maximum of continuous signals, hence bumpless.
 
 **Fuel system**, in series: an optional lag of the servo; the metering valve, a lag whose rate is
@@ -35,28 +35,27 @@ from narxcal.atmosphere import P0_PA, T0_K
 from narxcal.support.arrays import FloatArray
 from narxcal.support.compiled import compiled, lagged, ramp_lagged, slewed, table_value
 
-# The active limiter, as `control_step` returns it.
-GOVERNOR, ACCELERATION, DECELERATION, N1_TOPPING, N2_TOPPING, T45_TOPPING, PS3_TOPPING, MINIMUM = (
-    range(8)
-)
-_TOPPINGS = 3  # N2, T45, Ps3, in this order
+# The active limiter, as `control_step` returns it and logs of the truth have it.
+GOVERNOR, ACCELERATION, DECELERATION, N2_TOPPING, T45_TOPPING, MINIMUM = 0, 1, 2, 4, 5, 7
+_TOPPINGS = 2  # N2, T45, in this order
 _DAMPING = 0.9  # of the governor
+# Power of `sqrt(theta) / delta` by which the gain rises: 0 keeps the response in corrected time,
+# 1 keeps it in real time.
+_GAIN_EXPONENT = 0.5
 # State of the control: the governor's reset, those of the toppings, and N1 a step ago.
-_RESET, _TOPPING_RESETS, _PAST_N1, SIZE = 0, 1, 4, 5
+_RESET, _TOPPING_RESETS, _PAST_N1, SIZE = 0, 1, 3, 4
 
 
 class FadecParameters(NamedTuple):
     """Tables and limits; all gains and times are those at sea level standard.
 
     `governor_gain` in kg/s per %, `governor_reset_s` and `governor_lead_s` over sensed corrected
-    `governor_N1c_pct`: see `governor`. `gain_exponent` raises the gain by that power of
-    `sqrt(theta) / delta`: 0 keeps the response in corrected time, 1 keeps it in real time.
+    `governor_N1c_pct`: see `governor`.
     `accel_ratio`, `decel_ratio`: limits of `Wf / (Ps3 sqrt(theta2))` in kg/(s Pa) over
     `schedule_N2c_pct`; the effect `accel_limit` scales the margin of the former.
-    `topping_limit`, `topping_gain`, `topping_reset_s` (3,): physical limits of N2 (%), T45 (K) and
-    Ps3 (Pa), infinite for none, with gains in kg/s per corrected unit. A reset time equal to the
-    slow spool's time constant (for T45, to its probe's) keeps a limit without overshoot.
-    `N1_max_pct` limits the commanded N1. The fuel is never below `fuel_min_kgps`, nor below
+    `topping_limit`, `topping_gain`, `topping_reset_s` (2,): physical limits of N2 (%) and T45 (K),
+    infinite for none, with gains in kg/s per corrected unit. A reset time equal to the slow spool's
+    time constant (for T45, to its probe's) keeps a limit without overshoot. The fuel is never below
     `lean_ratio` (kg/(s Pa)) times Ps3.
     """
 
@@ -70,10 +69,7 @@ class FadecParameters(NamedTuple):
     topping_limit: FloatArray
     topping_gain: FloatArray
     topping_reset_s: FloatArray
-    N1_max_pct: float = math.inf
-    fuel_min_kgps: float = 0.0
     lean_ratio: float = 0.0
-    gain_exponent: float = 0.5
 
 
 class Sensed(NamedTuple):
@@ -129,9 +125,8 @@ def control_step(
     speed, knots = sensed.N1_pct / root, parameters.governor_N1c_pct
     lead_s = table_value(speed, knots, parameters.governor_lead_s) * stretch
     ahead = sensed.N1_pct + lead_s * (sensed.N1_pct - state[_PAST_N1]) / dt_s
-    gain = table_value(speed, knots, parameters.governor_gain) * stretch**parameters.gain_exponent
-    target = min(sensed.N1_command_pct, parameters.N1_max_pct)
-    unlimited = state[_RESET] + gain * (target - ahead) / root
+    gain = table_value(speed, knots, parameters.governor_gain) * stretch**_GAIN_EXPONENT
+    unlimited = state[_RESET] + gain * (sensed.N1_command_pct - ahead) / root
     fuel, active = _under_ceilings(parameters, state, sensed, (unlimited, delta, root))
     fuel, active = _over_floors(parameters, sensed, (fuel, delta, root), active)
     state[_PAST_N1] = sensed.N1_pct
@@ -152,12 +147,11 @@ def _under_ceilings(
 ) -> tuple[float, int]:
     """Minimum of the corrected `demand` (fuel, delta, root) and the ceilings."""
     fuel, delta, root = demand
-    active = N1_TOPPING if sensed.N1_command_pct > parameters.N1_max_pct else GOVERNOR
+    active = GOVERNOR
     ratio = table_value(sensed.N2_pct / root, parameters.schedule_N2c_pct, parameters.accel_ratio)
     if ratio * sensed.Ps3_Pa / delta < fuel:
         fuel, active = ratio * sensed.Ps3_Pa / delta, ACCELERATION
-    readings = (sensed.N2_pct, sensed.T45_K, sensed.Ps3_Pa)
-    corrections = (root, root * root, delta)
+    readings, corrections = (sensed.N2_pct, sensed.T45_K), (root, root * root)
     for j in range(_TOPPINGS):
         room = (parameters.topping_limit[j] - readings[j]) / corrections[j]
         allowed = state[_TOPPING_RESETS + j] + parameters.topping_gain[j] * room
@@ -175,7 +169,7 @@ def _over_floors(
     ratio = table_value(sensed.N2_pct / root, parameters.schedule_N2c_pct, parameters.decel_ratio)
     if ratio * sensed.Ps3_Pa / delta > fuel:
         fuel, active = ratio * sensed.Ps3_Pa / delta, DECELERATION
-    least = max(parameters.fuel_min_kgps, parameters.lean_ratio * sensed.Ps3_Pa) / (delta * root)
+    least = parameters.lean_ratio * sensed.Ps3_Pa / (delta * root)
     return (least, MINIMUM) if least > fuel else (fuel, active)
 
 

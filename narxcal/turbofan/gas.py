@@ -137,13 +137,11 @@ def fan_face(
 
 @compiled
 def theta(temperature_K: float) -> float:
-    """Temperature over that of the standard day at sea level."""
     return temperature_K / T0_K
 
 
 @compiled
 def delta(pressure_Pa: float) -> float:
-    """Pressure over that of the standard day at sea level."""
     return pressure_Pa / P0_PA
 
 

@@ -83,7 +83,6 @@ def _rate_limited(angle: FloatArray, largest: float) -> FloatArray:
 
 
 def _delayed(angle: FloatArray, steps: float) -> FloatArray:
-    """Delay by `steps` samples, which need not be whole, with linear interpolation."""
     index = np.arange(len(angle), dtype=np.float64)
     return np.interp(index - steps, index, angle)
 
@@ -131,28 +130,6 @@ class Ratings:
                 "ratings: expected 0 < ground idle <= flight idle <= approach idle, found "
                 f"{self.ground_idle_pct}, {self.flight_idle_pct}, {self.approach_idle_pct}"
             )
-
-
-BUSINESS_JET = Ratings(
-    take_off_pct=(94.0, 96.0, 97.5, 98.5, 98.5),
-    climb_pct=(90.5, 93.5, 96.0, 97.5, 98.0),
-    cruise_pct=(86.0, 89.5, 92.5, 94.5, 95.5),
-    ground_idle_pct=27.0,
-    flight_idle_pct=36.5,
-    approach_idle_pct=43.0,
-    idle_pct_per_kft=0.1,
-    idle_pct_per_mach=30.5,
-)
-SINGLE_AISLE = Ratings(
-    take_off_pct=(91.0, 95.0, 98.0, 100.0, 100.5),
-    climb_pct=(87.0, 92.0, 96.5, 99.5, 100.0),
-    cruise_pct=(83.0, 88.0, 92.5, 96.0, 97.0),
-    ground_idle_pct=20.0,  # an A320 idles at about 20 % N1
-    flight_idle_pct=29.0,
-    approach_idle_pct=36.0,
-    idle_pct_per_kft=0.15,
-    idle_pct_per_mach=24.0,
-)
 
 
 def n1_command(ratings: Ratings, inputs: ArrayLike) -> FloatArray:

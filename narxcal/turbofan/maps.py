@@ -37,11 +37,11 @@ _LEAST_RATIO = 0.3  # a windmilling fan expands the air, to a limit
 class CompressorMap(NamedTuple):
     """Constants of one compressor; `flow_kgps` is corrected, at design speed on the backbone."""
 
-    flow_kgps: float
-    pressure_ratio: float
-    efficiency: float
-    flow_exponent: float
-    pressure_exponent: float
+    flow_kgps: float = 0.0  # sized at the design point, as are the two next to it
+    pressure_ratio: float = 0.0
+    efficiency: float = 0.0
+    flow_exponent: float = 1.0
+    pressure_exponent: float = 2.0
     best_speed: float = 0.9
     speed_loss: float = 0.5  # c
     width: float = 0.10  # s_1: half the relative width of the speed line at design speed
@@ -53,10 +53,10 @@ class CompressorMap(NamedTuple):
 class TurbineMap(NamedTuple):
     """Constants of one turbine at its design point; `capacity` is `W sqrt(T) / P`, SI."""
 
-    capacity: float
-    pressure_ratio: float
-    efficiency: float
-    work_speed: float  # N / sqrt(isentropic drop), the velocity ratio at design
+    capacity: float = 0.0  # sized at the design point, as are the three next to it
+    pressure_ratio: float = 0.0
+    efficiency: float = 0.0
+    work_speed: float = 0.0  # N / sqrt(isentropic drop), the velocity ratio at design
     choking: float = 3.0  # m
     speed_loss: float = 0.35
 

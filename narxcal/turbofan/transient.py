@@ -90,7 +90,6 @@ class Plant(NamedTuple):
 
 @compiled
 def steps_per_sample(dt_s: float) -> int:
-    """Number of steps of the engine per sample of the log."""
     return max(1, math.ceil(dt_s / LONGEST_STEP_S - 1e-9))
 
 

@@ -16,7 +16,7 @@ from eval.diagnosis.learned import learn_left_out
 from eval.diagnosis.simulators import open_simulator
 from narxcal import load_bundle
 from narxcal.calibration.bundle import Bundle, check_bundle, read_document, save_bundle
-from narxcal.calibration.calibration import DynamicCalibration
+from narxcal.calibration.dynamic import DynamicCalibration
 from narxcal.calibration.run_record import RunRecord
 from narxcal.cli import main
 from narxcal.cli.app import COMMANDS

@@ -14,7 +14,7 @@ import pytest
 
 from narxcal.calibration.bundle import load_bundle
 from narxcal.cli import main, train
-from narxcal.flight_test.sensors import first_order
+from narxcal.flight_test.signals import first_order
 from training import pipeline
 from training.dynamics.network import TrainingState
 from training.methods import read_checkpoint, write_checkpoint

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from eval.diagnosis.blind import run, truth
-from narxcal.flight_test.sensors import first_order
+from narxcal.flight_test.signals import first_order
 from narxcal.turbofan.engine import INPUT_NAMES
 
 

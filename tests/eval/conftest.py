@@ -8,7 +8,7 @@ import torch
 
 from data_prep.log import Log, Source
 from narxcal.calibration.bundle import Bundle
-from narxcal.calibration.calibration import DynamicCalibration
+from narxcal.calibration.dynamic import DynamicCalibration
 from narxcal.calibration.run_record import RunRecord
 from narxcal.narx.config import NarxConfig
 from narxcal.narx.module import NarxNet

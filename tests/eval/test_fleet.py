@@ -17,7 +17,7 @@ from eval.run_logs import evaluation_logs, run_config
 from narxcal.calibration.bundle import load_bundle, save_bundle
 from narxcal.cli import main
 from narxcal.support.addresses import Folder
-from narxcal.support.files import log_csv
+from narxcal.support.csv_text import log_csv
 from narxcal.support.parallel import WorkerDied
 
 CONFIG = 'schema = "narxcal.fleet/1"\nflights = "{flights}"\nrun = "{run}"\nbatch = 2\n'

@@ -11,7 +11,7 @@ import pytest
 
 from narxcal.calibration.bundle import save_bundle
 from narxcal.cli import main
-from narxcal.support.files import log_csv
+from narxcal.support.csv_text import log_csv
 from tests.dask_servers import ROOT
 
 pytestmark = pytest.mark.slow

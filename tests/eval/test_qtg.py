@@ -18,7 +18,7 @@ from eval.judging.evaluate import evaluate
 from eval.qtg import evaluate_events, guide_of, read_master, read_tests, start_file
 from eval.report.pdf import RIGHT, printable, width_mm, wrapped
 from eval.report.qtg_pages import guide_pdf
-from narxcal.calibration.bundle import seal
+from narxcal.calibration.folder import seal
 from narxcal.support.errors import ConfigError, DataError
 from narxcal.support.files import to_json
 from training.responses.transients import TransientsConfig

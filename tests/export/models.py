@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from narxcal.calibration.calibration import DynamicCalibration
 from narxcal.calibration.delay import TransportDelay
+from narxcal.calibration.dynamic import DynamicCalibration
 from narxcal.calibration.identified import (
     EngineDynamics,
     IdentifiedCalibration,
@@ -17,10 +17,11 @@ from narxcal.lumped.engine import LumpedEngine, shapes_of
 from narxcal.narx.config import NarxConfig
 from narxcal.narx.network import NarxModel, Scaling, Weights
 from narxcal.output_error.engine import EngineFromSteady
+from narxcal.state_space import StateSpace
 from narxcal.steady.fitted import FittedSteadyState, Layout
 from narxcal.steady.model import Envelope
 from narxcal.steady.table import SteadyTable
-from narxcal.transfer import Schedule, StateSpace
+from narxcal.transfer import Schedule
 
 INPUTS, OUTPUTS = ("FF_kgph", "ALT_ft", "Mach", "dT_C"), ("N1_pct", "N2_pct", "EGT_C")
 LOW, HIGH = np.array([100.0, 0.0, 0.0, -20.0]), np.array([700.0, 30e3, 0.6, 30.0])

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from narxcal.export.grid import USUAL_RANGES, Grid
-from narxcal.export.plan import candidates, fewest_nodes, segment_errors
+from narxcal.export.nodes import candidates, fewest_nodes, segment_errors
 from narxcal.steady.function import SteadyCallable
 from narxcal.steady.table import SteadyTable
 from narxcal.support.errors import ConfigError

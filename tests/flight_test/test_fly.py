@@ -21,7 +21,7 @@ from narxcal.flight_test.fly import (
     write_flights,
 )
 from narxcal.flight_test.scenario import FlightScenario
-from narxcal.flight_test.sensors import first_order
+from narxcal.flight_test.signals import first_order
 from narxcal.support.errors import ConfigError, ModelError
 
 ROOT = Path(__file__).parents[2]

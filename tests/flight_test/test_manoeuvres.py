@@ -1,6 +1,5 @@
-"""Manoeuvres: closed forms, continuity, and what a hand cannot do."""
+"""Manoeuvres: closed forms and continuity."""
 
-import itertools
 import math
 import re
 
@@ -19,7 +18,6 @@ from narxcal.flight_test.manoeuvres import (
     doublet,
     hold,
     ladder,
-    levels,
     reslam,
     reversals,
     sequence,
@@ -43,7 +41,7 @@ pieces = st.one_of(
     st.builds(reversals, small, rates, st.integers(1, 4)),
     st.builds(reslam, small, st.floats(0.5, 3.0)),
     st.builds(lambda sizes: ladder(sizes, 6.0), st.lists(small, min_size=1, max_size=4)),
-    st.builds(switch, st.sampled_from(["ECS", "NAI"]), st.floats(1.0, 9.0)),
+    st.builds(switch, st.sampled_from(["ECS", "NAI"]), st.floats(1.0, 9.0), st.just(20.0)),
 )
 parts = st.lists(pieces, min_size=1, max_size=6)
 
@@ -105,13 +103,15 @@ def test_a_sweep_has_the_closed_form_phase_over_whole_cycles():
 
 
 def test_a_switch_flips_while_the_lever_rests():
-    piece = switch("NAI", on_s=10.0, before_s=5.0)
+    piece = switch("NAI", on_s=10.0, after_s=20.0)
     assert piece.switched == (Switched("NAI", 5.0, 15.0),)
     assert not piece.swing_deg(TIME_S).any()
 
 
 def test_a_sequence_carries_its_switches_along():
-    both = sequence(travel(10.0, 5.0), switch("ECS", 4.0), hold(3.0), switch("NAI", 2.0))
+    both = sequence(
+        travel(10.0, 5.0), switch("ECS", 4.0, 20.0), hold(3.0), switch("NAI", 2.0, 20.0)
+    )
     flips = {flip.channel: (flip.start_s, flip.stop_s) for flip in both.switched}
     assert flips == {"ECS": (7.0, 11.0), "NAI": (39.0, 41.0)}
 
@@ -144,32 +144,13 @@ def test_a_sequence_is_its_parts_one_after_another(parts):
 
 
 @pytest.mark.parametrize(
-    ("wrong", "message"),
+    ("points", "message"),
     [
-        (lambda: travel(10.0, 0.0), "a hand moves the lever at up to 170 deg/s, got 0 deg/s"),
-        (lambda: travel(10.0, 500.0), "got 500 deg/s. A step or an impulse is instantaneous"),
-        (lambda: travel(10.0, math.nan), "got nan deg/s"),
-        (lambda: hold(0.0), "a hold takes a positive time, got 0 s"),
-        (lambda: hold(math.inf), "a hold takes a positive time, got inf s"),
-        (lambda: switch("NAI", 0.0), "a switch takes a positive time, got 0 s"),
-        (
-            lambda: levels([(40.0, 1.0)], 10.0),
-            "needs 4 s to get to 40 deg at 10 deg/s, and its stay there is over after 1 s",
-        ),
-        (lambda: Sweep(1.0, 1.0, 0.5, 60.0), "from a low to a higher frequency, got 1 .. 0.5 Hz"),
-        (lambda: Sweep(1.0, 0.01, 0.02, 3.0), "a sweep of 3 s has no time for one cycle"),
-        (lambda: Corners(((0.0, 0.0), (2.0, 1.0), (1.0, 1.0))), "be in order of time"),
-        (lambda: Corners(((1.0, 0.0),)), "corner points have to begin at (0, 0)"),
-        (lambda: Corners(()), "corner points have to begin at (0, 0)"),
+        (((0.0, 0.0), (2.0, 1.0), (1.0, 1.0)), "be in order of time"),
+        (((1.0, 0.0),), "corner points have to begin at (0, 0)"),
+        ((), "corner points have to begin at (0, 0)"),
     ],
 )
-def test_what_no_hand_can_do_is_refused(wrong, message):
+def test_corners_out_of_order_are_refused(points, message):
     with pytest.raises(ConfigError, match=re.escape(message)):
-        wrong()
-
-
-def test_every_manoeuvre_is_a_frozen_value():
-    made = [travel(3.0, 5.0), Sweep(1.0, 0.1, 1.0, 30.0), hold(1.0)]
-    assert len({*made, travel(3.0, 5.0)}) == len(made)
-    for one, other in itertools.combinations(made, 2):
-        assert one != other
+        Corners(points)

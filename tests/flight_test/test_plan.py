@@ -14,7 +14,7 @@ from narxcal.atmosphere import air_state, isa, mach_of_cas
 from narxcal.channels import CHANNELS
 from narxcal.flight_test.manoeuvres import HAND_DEG_S
 from narxcal.flight_test.moves import FlightCard, course
-from narxcal.flight_test.pilot import SIDES, STYLES, rate_limited
+from narxcal.flight_test.pilot import SIDES, rate_limited
 from narxcal.flight_test.plan import FlightPlan, _draw_day, plan_card, plan_flight, seeded
 from narxcal.flight_test.route import (
     AIRCRAFT,
@@ -23,15 +23,13 @@ from narxcal.flight_test.route import (
     DT_HIGH_C,
     DT_LOW_C,
     LEAST_S,
-    MACH_MAX,
     SHORTEST_S,
     SWITCH_NAMES,
-    check_between,
     plan_legs,
 )
 from narxcal.support.errors import ConfigError
-from narxcal.turbofan.engine import INPUT_NAMES, VirtualEngine
 
+STYLES = ("line", "enriched")
 seeds = st.integers(0, 2**31)
 styles = st.sampled_from(STYLES)
 aircrafts = st.sampled_from(sorted(AIRCRAFT))
@@ -361,51 +359,27 @@ def test_lever_moves_change_the_speed_in_flight(enriched):
     assert np.corrcoef(slow, mach[959:])[0, 1] > 0.5
 
 
-def test_an_engine_can_fly_it():
-    flight = plan_flight(FlightPlan(duration_s=480.0), 0)["left"]
-    outputs = VirtualEngine().simulate({name: flight[name] for name in INPUT_NAMES}, 1 / 32)
-    assert all(np.isfinite(values).all() for values in outputs.values())
-
-
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"style": "wild"}, "unknown style 'wild'. Known: line, enriched"),
-        ({"aircraft": "glider"}, "unknown aircraft 'glider'. Known: business_jet, single_aisle"),
-        ({"duration_s": 300.0}, "duration_s has to lie in 480 .. 43200, got 300"),
+        ({"style": "wild"}, "'style': Input should be 'line' or 'enriched', found 'wild'"),
+        ({"aircraft": "glider"}, "should be 'business_jet' or 'single_aisle', found 'glider'"),
+        ({"duration_s": 300.0}, "should be greater than or equal to 480, found 300.0"),
         ({"top_ft": 45_000.0}, "top_ft has to lie in 15000 .. 39370.1, got 45000"),
         (
             {"aircraft": "single_aisle", "top_ft": 39_300.0},
             "top_ft has to lie in 15000 .. 39000, got 39300",
         ),
         ({"cruise_mach": 0.9}, "cruise_mach has to lie in 0.55 .. 0.85, got 0.9"),
-        ({"dT_C": -40.0}, "dT_C has to lie in -30 .. 20, got -40"),
-        ({"field_ft": -50.0}, "field_ft has to lie in 0 .. 6000, got -50"),
-        ({"rate_hz": 1.0}, "rate_hz has to lie in 4 .. 256, got 1"),
+        ({"dT_C": -40.0}, "'dT_C': Input should be greater than or equal to -30, found -40.0"),
+        ({"field_ft": 7e3}, "'field_ft': Input should be less than or equal to 6000, found 7000.0"),
+        ({"rate_hz": 1.0}, "'rate_hz': Input should be greater than or equal to 4, found 1.0"),
         ({"durations_s": 600.0}, "unknown key 'durations_s'. Did you mean 'duration_s'?"),
     ],
 )
 def test_a_flight_that_cannot_be_is_refused(wrong, message):
     with pytest.raises(ConfigError, match=re.escape(message)):
         FlightPlan.parse(wrong)
-
-
-def test_a_negative_seed_is_refused():
-    with pytest.raises(ConfigError, match="a seed is a whole number from 0 on, got -1"):
-        plan_flight(FlightPlan(duration_s=480.0), -1)
-
-
-def test_both_aircraft_stay_in_the_papers_envelope():
-    assert pytest.approx(39_370.08, abs=0.01) == CEILING_FT
-    for aircraft in AIRCRAFT.values():
-        assert aircraft.ceiling_ft <= CEILING_FT
-        assert aircraft.mach_max <= MACH_MAX
-
-
-@pytest.mark.parametrize("value", [-0.1, 1.1, float("nan")])
-def test_what_lies_outside_is_refused(value):
-    with pytest.raises(ConfigError, match=r"x has to lie in 0 \.\. 1, got .*\. Try less"):
-        check_between("x", value, 0.0, 1.0, "Try less")
 
 
 AIR = {"altitude_ft": (5000.0, 15_000.0), "mach": (0.4, 0.6), "climb_ft_min": 3000.0}

@@ -217,7 +217,10 @@ def test_moves_lead_from_the_first_angle_to_the_last():
             ),
         ),
         ({"outputs": ["N3_pct"]}, "unknown channel 'N3_pct'. Did you mean 'N2_pct'?"),
-        ({"plan": {"style": "airshow"}}, "unknown style 'airshow'. Known: line, enriched"),
+        (
+            {"plan": {"style": "airshow"}},
+            "key 'plan.style': Input should be 'line' or 'enriched', found 'airshow'",
+        ),
         (
             {"effects": [{**LAG, "flights": [7]}]},
             "effect 'sensor_lag@EGT_C' names flight 7, and there are 6",

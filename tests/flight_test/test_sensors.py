@@ -8,8 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from narxcal.atmosphere import isa
-from narxcal.channels import CHANNELS
-from narxcal.flight_test import sensors as measurement
 from narxcal.flight_test.sensors import (
     PARAMETERS,
     PRESETS,
@@ -17,13 +15,15 @@ from narxcal.flight_test.sensors import (
     SensorConfig,
     SensorFault,
     Streams,
-    at_times,
     channels_of,
+    record,
+)
+from narxcal.flight_test.signals import (
+    at_times,
     coloured,
     first_order,
     frozen,
     quantised,
-    record,
     slots,
     turbine_meter,
     windows,
@@ -103,12 +103,6 @@ def test_a_turbine_meter_answers_a_fall_later_than_a_rise_and_survives_no_flow()
     half = 500.0
     assert TIME[np.argmax(fall < half)] > TIME[np.argmax(rise > half)] + 0.1
     assert np.isfinite(turbine_meter(np.where(TIME > 2.0, 0.0, 800.0), 0.5, 400.0, DT)).all()
-
-
-def test_the_compiled_meter_is_its_own_python():
-    flow = 300.0 + 250.0 * np.sin(TIME)
-    slow = measurement._turbine.py_func(flow, 0.4, 300.0, DT)
-    np.testing.assert_allclose(measurement._turbine(flow, 0.4, 300.0, DT), slow, rtol=1e-13)
 
 
 # Times
@@ -301,15 +295,6 @@ def test_a_fault_of_its_neutral_size_is_none(effect):
     sizes = {name: row[3] for name, row in PARAMETERS[effect].items()}
     for faults in ([SensorFault(effect, channel, sizes)], [SensorFault(effect, channel, {})]):
         np.testing.assert_array_equal(one(truth, channel, faults=faults)[0], truth)
-
-
-@pytest.mark.parametrize("effect", PARAMETERS)
-def test_bounds_hold_the_neutral_size_and_the_channels_exist(effect):
-    assert set(channels_of(effect)) <= set(CHANNELS)
-    for unit, low, high, neutral in PARAMETERS[effect].values():
-        assert unit
-        assert low <= neutral <= high
-        assert low < high
 
 
 def test_a_fault_on_one_channel_leaves_the_others_alone():

@@ -21,7 +21,8 @@ import pytest
 from safetensors.numpy import load_file
 
 from narxcal import KalmanFuser, load_bundle
-from narxcal.calibration.bundle import SCHEMA, WEIGHTS, packed, seal
+from narxcal.calibration.bundle import SCHEMA
+from narxcal.calibration.folder import WEIGHTS, packed, seal
 from narxcal.support.files import to_json
 
 GOLDEN = Path(__file__).parent

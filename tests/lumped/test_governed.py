@@ -12,7 +12,9 @@ from hypothesis import strategies as st
 from narxcal.atmosphere import air_state
 from narxcal.calibration.register import Parts, Register, Sample
 from narxcal.lumped.engine import LumpedEngine, shapes_of
-from narxcal.lumped.rotors import LIMITED, LINES, ROWS, inner_steps
+from narxcal.lumped.governed import LINES, inner_steps
+from narxcal.lumped.limited import LIMITED
+from narxcal.lumped.states import ROWS
 from narxcal.narx.config import NarxConfig
 from narxcal.narx.module import NarxNet
 from narxcal.narx.network import NarxModel, Scaling
@@ -331,16 +333,6 @@ def test_an_array_that_does_not_fit_is_named(name):
     arrays = {**arrays, name: arrays[name][:-1]}
     with pytest.raises(ModelError, match=f"lag array '{name}' has to be of shape"):
         LumpedEngine.from_arrays(meta, arrays)
-
-
-def test_lags_of_another_version_are_refused_with_their_form():
-    meta, arrays = lags().to_arrays()
-    message = (
-        "the lags are of form 'governed', expected 'governed/2'. "
-        "Train again if another version of narxcal wrote the folder"
-    )
-    with pytest.raises(ModelError, match=f"^{message}$"):
-        LumpedEngine.from_arrays({**meta, "form": "governed"}, arrays)
 
 
 def test_an_engine_without_a_fan_is_refused():

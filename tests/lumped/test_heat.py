@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from narxcal.calibration.calibration import DynamicCalibration
+from narxcal.calibration.dynamic import DynamicCalibration
 from narxcal.narx.config import NarxConfig
 from narxcal.narx.module import NarxNet
 from narxcal.narx.network import NarxModel, Scaling

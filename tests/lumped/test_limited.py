@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 from narxcal.atmosphere import air_state
 from narxcal.lumped.engine import LumpedEngine
-from narxcal.lumped.rotors import LIMITED as PARAMETERS
-from narxcal.lumped.rotors import ROWS, UNLIMITED
+from narxcal.lumped.limited import LIMITED as PARAMETERS
+from narxcal.lumped.limited import UNLIMITED
+from narxcal.lumped.states import ROWS
 from narxcal.narx.network import AT_START
 from narxcal.support.errors import ModelError
 
@@ -361,14 +362,3 @@ def test_heat_moves_a_spool_and_does_not_show_at_once():
     shown, _ = after_a_step(0.5, -1.0, heat=0.0)
     assert (np.abs(driven[5]) < np.abs(size)).all()
     assert (np.abs(shown[5] / driven[5]) > 1.05).all()
-
-
-def test_a_folder_of_another_version_is_refused_with_what_to_do():
-    meta, arrays = lags().to_arrays()
-    arrays["parameters"] = arrays["parameters"][:, :-4]
-    message = (
-        rf"lag array 'parameters' has to be of shape \(3, {len(PARAMETERS)}\), found \(3, 34\)"
-        ".*Train again if another version of narxcal wrote the folder"
-    )
-    with pytest.raises(ModelError, match=message):
-        LumpedEngine.from_arrays(meta, arrays)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from narxcal.lumped.engine import LumpedEngine, Slopes
-from narxcal.lumped.rotors import LIMITED
+from narxcal.lumped.limited import LIMITED
 from narxcal.narx.network import AT_START
 from training.dynamics.lag_priors import Form, start_engine
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from narxcal.calibration.calibration import DynamicCalibration, narx_features
+from narxcal.calibration.dynamic import DynamicCalibration, narx_features
 from narxcal.narx.config import NarxConfig
 from narxcal.narx.module import NarxNet
 from narxcal.narx.network import NarxModel, Scaling

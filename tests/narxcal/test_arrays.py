@@ -10,7 +10,6 @@ from narxcal.support.arrays import (
     last_true,
     long_runs,
     noise_level,
-    percentiles,
     robust_range,
     sample_and_hold,
     spans,
@@ -83,9 +82,3 @@ def test_the_robust_range_leaves_out_half_a_percent_at_each_end():
     values = np.append(np.arange(1001.0), np.nan)
     assert robust_range(values) == (5.0, 995.0)
     assert np.isnan(robust_range(np.full(3, np.nan))).all()
-
-
-@given(st.lists(st.floats(-1e9, 1e9), min_size=1, max_size=300), st.floats(0, 100))
-def test_percentiles_are_those_of_numpy_bit_for_bit(values, percent):
-    own, numpy = percentiles(np.array(values), 0.5, percent), np.percentile(values, (0.5, percent))
-    assert own == numpy.tolist()

@@ -40,12 +40,6 @@ def test_a_ramp_through_a_lag_is_exact_under_first_order_hold():
     np.testing.assert_allclose(y, expected, atol=1e-12)
 
 
-def test_both_holds_agree_on_a_constant_input():
-    system = Rotors(**LEFT).system()
-    zoh, foh = (from_rest(system, STEP, hold) for hold in ("zoh", "foh"))
-    np.testing.assert_allclose(zoh, foh, atol=1e-12)
-
-
 def test_on_a_ramp_zero_order_hold_lags_by_about_half_a_sample_more():
     zoh, foh = (from_rest(lag(1.0, 0.3), TIME, hold)[-1, 0] for hold in ("zoh", "foh"))
     assert TIME[-1] - foh == pytest.approx(0.3)
@@ -100,54 +94,12 @@ def test_engine_and_governor_are_one_lag_of_tau_engine(values, k_af, tau):
     assert y[-1, 2] == pytest.approx(final, rel=1e-6)
 
 
-def test_the_first_jump_of_fuel_flow_is_035_of_its_final_value():
-    governor, plant = loop(LEFT, 3.11)
-    fuel = governor.closed_loop(plant).respond(3.11 * STEP, DT, "zoh", np.zeros(2))[:, 2]
-    assert fuel[0] / fuel[-1] == pytest.approx(0.3545, abs=5e-5)
-
-
 def test_feedback_of_another_size_gives_the_general_time_constant_and_gain():
     governor, plant = loop(LEFT, 3.11, C_FB=0.15)
     y = governor.closed_loop(plant).respond(3.11 * STEP, DT, "zoh", np.zeros(2))[:, 0]
     stiffness = 1.0 - 0.114 / 0.15 + 0.114 * 3.11
     expected = 0.114 * 3.11 / stiffness * (1.0 - np.exp(-TIME * stiffness / 0.232))
     np.testing.assert_allclose(y, expected, atol=1e-12)
-
-
-def test_in_saturation_speed_has_no_restoring_force():
-    governor, plant = loop(LEFT, 3.11, A_low=-1.0, A_high=1.0)
-    y = governor.respond(plant, 1e6 * (TIME > 1.0), DT)[:, 0]
-    slope = np.diff(y)[25:] / DT  # the area stands at its limit: N_H integrates it
-    np.testing.assert_allclose(slope, 0.114 * 3.11 * 1.0 / 0.232, rtol=1e-9)
-
-
-def test_a_governor_with_all_nonlinearities_matches_an_integrator_of_small_steps():
-    values = {"d2": 0.3, "mu": 0.05, "A_low": -2.0, "A_high": 1.5, "W_F0": 0.4}
-    governor, plant = loop(LEFT, 3.11, **values)
-    command = 3.0 * np.sin(0.8 * TIME)
-    y = governor.respond(plant, command, DT, substeps=8)[:, 0]
-
-    n, w = y[0], values
-    steps, dt = 200, DT / 200
-    backlash, slow = command[0] - n, [n]
-    for k in range(len(command) - 1):
-        for s in range(steps):
-            error = command[k] + (command[k + 1] - command[k]) * s / steps - n
-            backlash = max(error - w["d2"], min(error + w["d2"], backlash))
-            area = np.clip(backlash + w["mu"] * backlash * abs(backlash), w["A_low"], w["A_high"])
-            fuel = 3.11 * area + n / 0.114 + w["W_F0"]
-            n += dt / 0.232 * (-n + 0.114 * fuel)
-        slow.append(n)
-    np.testing.assert_allclose(y, slow, atol=4e-3)
-
-
-def test_substeps_of_a_nonlinear_governor_converge_with_the_second_order():
-    command = np.random.default_rng(0).normal(size=400).cumsum() * 0.2
-    linear, plant = loop(LEFT, 3.11)
-    exact = linear.respond(plant, command, DT)[:, 0]
-    stepped, _ = loop(LEFT, 3.11, A_high=1e9)
-    errors = [np.abs(stepped.respond(plant, command, DT, n)[:, 0] - exact).max() for n in (2, 8)]
-    assert errors[1] < errors[0] / 12.0
 
 
 @given(
@@ -168,10 +120,6 @@ def test_play_equals_a_machine_of_three_contacts(u, r, proportional):
     np.testing.assert_allclose(play(np.array(u), r, proportional), expected, atol=1e-12)
 
 
-def test_play_of_no_width_is_no_play():
-    np.testing.assert_array_equal(play(np.sin(TIME), 0.0), np.sin(TIME))
-
-
 def test_play_has_its_one_sided_derivative_by_complex_step():
     u = np.array([0.0, 0.1, 2.0, 1.9, -2.0, -1.9, -1.2])
     w = play(u, 0.5 + 1e-20j)
@@ -179,25 +127,18 @@ def test_play_has_its_one_sided_derivative_by_complex_step():
     np.testing.assert_allclose(w.real, [0, 0, 1.5, 1.5, -1.5, -1.5, -1.5])
 
 
-def test_complex_steps_equal_central_differences_through_the_nonlinear_loop():
-    names = ["tau_H", "tau_L", "C_FH", "C_HL", "alpha", "K_AF", "d2", "mu"]
-    base = np.array([*LEFT.values(), 3.11, 0.2, 0.03])
+def test_complex_steps_equal_central_differences_through_the_closed_loop():
+    base = np.array([*LEFT.values(), 3.11])
     command = np.random.default_rng(1).normal(size=300).cumsum() * 0.2
 
     def run(point):
-        values = dict(zip(names, point, strict=True))
-        more = {key: values.pop(key) for key in ("d2", "mu")}
-        k_af = values.pop("K_AF")
-        governor, plant = loop(values, k_af, **more)
+        governor, plant = loop(dict(zip(LEFT, point[:-1], strict=True)), point[-1])
         return governor.respond(plant, command, DT)
 
-    for j in range(len(base)):
-        unit = np.eye(len(base))[j]
+    for unit in np.eye(len(base)):
         exact = run(base + 1e-20j * unit).imag / 1e-20
-        h = 1e-6
-        difference = (run(base + h * unit) - run(base - h * unit)) / (2 * h)
-        # Contacts that change inside the difference leave a trace of its size.
-        np.testing.assert_allclose(exact, difference, atol=2e-3 * np.abs(exact).max())
+        difference = (run(base + 1e-6 * unit) - run(base - 1e-6 * unit)) / 2e-6
+        np.testing.assert_allclose(exact, difference, atol=1e-6 * np.abs(exact).max())
 
 
 def test_a_lead_undoes_a_lag():
@@ -217,13 +158,7 @@ def test_recursion_equals_a_plain_loop():
     np.testing.assert_allclose(recursion(phi, drive, x), expected, atol=1e-12)
 
 
-def test_what_a_linear_system_refuses():
-    with pytest.raises(ModelError) as error:
-        LinearSystem.gain([[1.0]]).feedback([[0.5]])
-    assert str(error.value) == ("an output with direct feedthrough is fed back: an algebraic loop")
-    with pytest.raises(ModelError) as error:
-        LinearSystem.gain([[1.0]]).lead(0.1)
-    assert str(error.value) == "a lead needs a system without direct feedthrough"
+def test_a_system_that_integrates_has_no_equilibrium():
     integrator = LinearSystem(np.zeros((1, 1)), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1)))
     with pytest.raises(ModelError) as error:
         integrator.respond(STEP, DT)

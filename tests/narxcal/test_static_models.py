@@ -34,7 +34,6 @@ from narxcal.static_models import (
 )
 from narxcal.static_models.black_box import Chebyshev, Spline
 from narxcal.static_models.fuel import KGPH_PER_KN
-from narxcal.static_models.model import StaticModel
 from narxcal.static_models.thrust import gas_generator, generator
 from narxcal.support.errors import ConfigError, DataError, ModelError
 
@@ -125,13 +124,6 @@ def test_capture_flow_is_zero_at_rest_and_the_corrected_one_is_not():
     assert at_start(cold_thrust(), **still) == 0.0
     assert at_start(cold_thrust(flow="corrected"), **still) > 1.0
     assert at_start(cold_thrust(flow="nozzle"), **still) > 1.0
-
-
-def test_lower_fan_efficiency_raises_thrust():
-    model = cold_thrust()
-    worse = model.with_start("eta_f", 0.7)
-    condition = {"ALT_ft": 30_000, "Mach": 0.7, "FPR": 1.5}
-    assert at_start(worse, **condition) > at_start(model, **condition)
 
 
 @pytest.mark.parametrize(
@@ -333,12 +325,6 @@ def test_a_correction_adds_to_any_model():
     assert found - plain == pytest.approx([3.0 + 5.0 * (2.0 * 1.4 - 3.0)])
 
 
-def test_a_correction_of_another_output_is_refused():
-    extra = tensor("FN_kN", [Chebyshev(column="FPR", degree=1, low=1.0, high=2.0)])
-    with pytest.raises(ConfigError, match=r"^the correction of 'BADA 3' models FN_kN, expected FF"):
-        corrected(bada3(), extra)
-
-
 # What every model says of itself.
 COLUMNS = mesh_columns(lambda t, _a, m: t * m) | {"FPR": np.linspace(1.2, 1.8, 80)}
 
@@ -364,12 +350,6 @@ def test_an_unknown_model_lists_the_known_ones():
     message = f"^unknown static model 'rolls'. Known: {', '.join(MODELS)}$"
     with pytest.raises(ModelError, match=message):
         build({"model": "rolls"})
-
-
-@pytest.mark.parametrize("model", [aerospatiale(1.0), cold_thrust(), yoder_plus(1.0),
-                                   with_drag(mattingly(1.0)), torenbeek(1.0, 5.0)])  # fmt: skip
-def test_a_reconstruction_says_so(model):
-    assert "reconstruction" in model.reconstruction
 
 
 # Bad input.
@@ -416,9 +396,6 @@ def test_columns_of_different_length_are_refused():
      r"^polynomial in x: expected degree >= 0 and low < high, found degree -1 over 0 \.\. 1$"),
     (lambda: cold_thrust(variant="paper", flow="nozzle"),
      "^Cold Thrust: variant 'paper' has flow 'capture' only, found 'nozzle'$"),
-    (lambda: StaticModel(name="m", output="y", inputs=(), equation=lambda p, _: p,
-                         parameters=(Parameter("a", 0.0, -1.0, 1.0),) * 2),
-     r"^m: two parameters have the same name in \['a', 'a'\]$"),
 ])  # fmt: skip
 def test_impossible_settings_are_refused(make, message):
     with pytest.raises(ConfigError, match=message):

@@ -9,13 +9,9 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 from scipy.signal import lsim
 
+from narxcal.state_space import StateSpace, coordinates, from_coordinates
 from narxcal.support.errors import ConfigError, DataError, ModelError
-from narxcal.transfer import (
-    Schedule,
-    StateSpace,
-    coordinates,
-    from_coordinates,
-)
+from narxcal.transfer import Schedule
 from training.papers.transfer_fit import (
     FirstOrder,
     Scale,

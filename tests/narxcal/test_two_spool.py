@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from narxcal import two_spool
 from narxcal.effects.base import Pace, as_simulated
 from narxcal.two_spool import (
     DAMP,
@@ -316,12 +315,3 @@ def test_a_soft_limit_passes_what_is_small_and_never_more_than_the_limit(demand,
     assert found * demand >= 0.0
     if abs(demand) < 0.3 * limit:
         assert abs(found - demand) <= 0.01 * abs(demand)
-
-
-def test_the_compiled_run_is_the_same_from_python():
-    """The raster of the caller is cut into steps of 62.5 ms at most."""
-    given_ = flown(60)
-    theta = np.concatenate([coefficients()[None], pace_of()], axis=1)
-    which = np.zeros(1, dtype=int)
-    plain = two_spool._run.py_func(theta, THERMAL, given_, which, (DT, 50.0, 45.0, 0, 3))
-    np.testing.assert_allclose(engine().free_run(given_, which, pace_of()), plain, atol=1e-9)

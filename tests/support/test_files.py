@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from narxcal.cli.app import locked
+from narxcal.support.csv_text import log_csv, text_cell
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import (
     Results,
@@ -21,9 +22,7 @@ from narxcal.support.files import (
     atomic_write_text,
     check_file,
     check_output_folder,
-    log_csv,
     recover,
-    text_cell,
 )
 
 FULL = OSError(errno.ENOSPC, "No space left on device")

@@ -8,7 +8,7 @@ import pytest
 from sklearn.base import clone
 
 from narxcal import Narx, NarxConfig
-from narxcal.calibration.bundle import seal
+from narxcal.calibration.folder import seal
 from narxcal.support.errors import ConfigError, ModelError
 from training.config import TrainConfig
 

@@ -5,7 +5,7 @@ import pytest
 
 from data_prep.log import Log, Source
 from narxcal.lumped.engine import LumpedEngine
-from narxcal.lumped.rotors import LIMITED, UNLIMITED
+from narxcal.lumped.limited import LIMITED, UNLIMITED
 from training.config import RunConfig
 from training.dynamics.lag_priors import Form, start_engine
 from training.dynamics.lags import _CHOICE_GRID_S, LagChoice, _Judged, choose_form

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from narxcal.lumped.engine import LumpedEngine
-from narxcal.lumped.rotors import LIMITED as PARAMETERS
-from narxcal.lumped.rotors import UNLIMITED
+from narxcal.lumped.limited import LIMITED as PARAMETERS
+from narxcal.lumped.limited import UNLIMITED
 from narxcal.support.errors import DataError
 from training.dynamics.lag_priors import Form, start_engine
 from training.dynamics.lags import fit_engine

@@ -14,7 +14,7 @@ from narxcal.atmosphere import air_state
 from narxcal.calibration.bundle import Bundle, load_bundle, save_bundle
 from narxcal.calibration.fuser import FastFuser
 from narxcal.lumped.engine import LumpedEngine
-from narxcal.lumped.rotors import LIMITED, UNLIMITED
+from narxcal.lumped.limited import LIMITED, UNLIMITED
 from narxcal.support.errors import ConfigError, DataError, ModelError
 from narxcal.support.files import to_json
 from training import pipeline

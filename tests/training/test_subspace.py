@@ -8,8 +8,8 @@ import pytest
 from scipy.linalg import expm
 from scipy.optimize import least_squares
 
+from narxcal.state_space import StateSpace
 from narxcal.support.errors import DataError
-from narxcal.transfer import StateSpace
 from training.papers.subspace import (
     SubspaceSettings,
     initial_state,

@@ -24,7 +24,7 @@ PS3 = 2.5e6 * (0.05 + 0.95 * (N1 / 100.0) ** 1.8)
 CORE_S = np.interp(N1, [20.0, 100.0], [0.80, 0.35])
 FAN_S = np.interp(N1, [20.0, 100.0], [0.35, 0.22])
 REST_S = 0.18  # valve, fuel line, sampling
-NO_LIMIT = (math.inf, math.inf, math.inf)
+NO_LIMIT = (math.inf, math.inf)
 N1_OUT, N2_OUT, T45_OUT, PS3_OUT, FUEL_OUT, ACTIVE_OUT = range(6)
 
 
@@ -76,7 +76,7 @@ def fly(plant, control, valve, states, commands, dt):  # noqa: PLR0917
 def parameters(limits=NO_LIMIT, accel_margin=0.35, decel_margin=0.35, **others):
     gain, reset, lead = fadec.governor(N1, FUEL, (CORE_S, FAN_S, REST_S))
     accel, decel = (1.0 + accel_margin) * FUEL / PS3, (1.0 - decel_margin) * FUEL / PS3
-    topping = (np.array(limits), np.array([0.03, 0.002, 5e-7]), np.array([0.8, 0.7, 0.8]))
+    topping = (np.array(limits), np.array([0.03, 0.002]), np.array([0.8, 0.7]))
     return FadecParameters(N1, gain, reset, lead, N2, accel, decel, *topping, **others)
 
 
@@ -172,7 +172,7 @@ def test_a_slam_rides_the_acceleration_schedule_and_a_chop_the_deceleration_sche
 
 def test_hand_overs_are_bumpless():
     """After a slam begins, fuel moves no faster where limiters change than where one rules."""
-    flight = run(step_at_one_second(25, 95), parameters((93.0, 1000.0, math.inf)))
+    flight = run(step_at_one_second(25, 95), parameters((93.0, 1000.0)))
     change = np.abs(np.diff(flight.rows[:, FUEL_OUT]))
     begun = round(1.0 / DT) + 1
     switches = begun + np.flatnonzero(np.diff(flight.active[begun:]))
@@ -187,15 +187,14 @@ def test_hand_overs_are_bumpless():
     [
         (fadec.N2_TOPPING, 93.0, N2_OUT),
         (fadec.T45_TOPPING, 1080.0, T45_OUT),
-        (fadec.PS3_TOPPING, 1.5e6, PS3_OUT),
     ],
 )
 def test_a_topping_limit_holds_and_lets_go_without_windup(which, limit, column, place):
     commands = step_at_one_second(25, 100, 80.0)
     commands[round(60.0 / DT) :] = 50.0
-    _, delta, root = run(commands[:1], place=place)
-    limits = np.full(3, math.inf)
-    limits[which - fadec.N2_TOPPING] = limit = limit * (root, root**2, delta)[column - N2_OUT]
+    root = run(commands[:1], place=place).root
+    limits = np.full(2, math.inf)
+    limits[which - fadec.N2_TOPPING] = limit = limit * (root, root**2)[column - N2_OUT]
     flight = run(commands, parameters(limits), place)
     assert np.max(flight.rows[:, column]) <= limit * (1.0 + 1e-6)
     held = round(55.0 / DT)
@@ -208,29 +207,16 @@ def test_a_topping_limit_holds_and_lets_go_without_windup(which, limit, column, 
     assert np.min(rest) > 50.0 - 0.05
 
 
-@PLACES
-def test_the_governor_follows_no_command_beyond_the_largest_n1(place):
-    root = run([50.0], place=place).root
-    flight = run(step_at_one_second(25, 100), parameters(N1_max_pct=90.0 * root), place)
-    assert np.max(flight.n1) <= 90.05
-    assert flight.n1[-1] == pytest.approx(90.0, abs=1e-4)
-    assert flight.active[-1] == fadec.N1_TOPPING
-
-
 def test_the_least_fuel_holds_the_engine_above_its_command_and_lets_go():
     commands = step_at_one_second(90, 20, 80.0)
     commands[round(60.0 / DT) :] = 60.0
     least = float(np.interp(35.0, N1, FUEL))
-    for control in (
-        parameters(fuel_min_kgps=least),
-        parameters(lean_ratio=least / float(np.interp(35.0, N1, PS3))),
-    ):
-        flight = run(commands, control)
-        held = round(55.0 / DT)
-        assert flight.active[held] == fadec.MINIMUM
-        assert flight.n1[held] == pytest.approx(35.0, abs=0.1)
-        assert flight.n1[-1] == pytest.approx(60.0, abs=1e-4)
-        assert np.max(flight.n1[held:]) < 60.1
+    flight = run(commands, parameters(lean_ratio=least / float(np.interp(35.0, N1, PS3))))
+    held = round(55.0 / DT)
+    assert flight.active[held] == fadec.MINIMUM
+    assert flight.n1[held] == pytest.approx(35.0, abs=0.1)
+    assert flight.n1[-1] == pytest.approx(60.0, abs=1e-4)
+    assert np.max(flight.n1[held:]) < 60.1
 
 
 def test_a_long_ride_on_the_schedule_winds_nothing_up():
@@ -250,22 +236,12 @@ def test_margins_set_how_fast_the_engine_goes_each_way():
     assert needed(95, 25, decel_margin=0.25) > needed(95, 25) + 0.3
 
 
-def test_without_fixed_lags_the_response_is_alike_in_corrected_time():
-    """Scheduled in corrected quantities, a slam at height is the one at sea level, stretched."""
-    control = parameters(gain_exponent=0.0)
+def test_the_response_at_height_is_slower_than_at_sea_level_and_quicker_than_in_corrected_time():
     _, delta, root = run([50.0], place=HIGH)
-    stretch = root / delta
     fine = 0.002
-    low = run(step_at_one_second(60, 62, 12.0, fine), control, dt=fine)
-    high = run(step_at_one_second(60, 62, 32.0, fine), control, HIGH, fine)
-    t = np.arange(0.0, 10.0, 0.01)
-    sea = np.interp(1.0 + t, fine * np.arange(len(low.n1)), low.n1)
-    far = np.interp(1.0 + t * stretch, fine * np.arange(len(high.n1)), high.n1)
-    # The valve and the line do not stretch, which is what is left.
-    assert np.max(np.abs(sea - far)) < 0.08 * 2.0
-    assert settling_s(high, 62.0, dt=fine) > 2.0 * settling_s(low, 62.0, dt=fine)
-    quick = run(step_at_one_second(60, 62, 32.0, fine), parameters(gain_exponent=1.0), HIGH, fine)
-    assert settling_s(quick, 62.0, dt=fine) < 0.7 * settling_s(high, 62.0, dt=fine)
+    low = settling_s(run(step_at_one_second(60, 62, 12.0, fine), dt=fine), 62.0, dt=fine)
+    high = settling_s(run(step_at_one_second(60, 62, 32.0, fine), None, HIGH, fine), 62.0, dt=fine)
+    assert 1.1 * low < high < 0.9 * low * root / delta
 
 
 def test_the_step_hardly_matters():
@@ -277,19 +253,12 @@ def test_the_step_hardly_matters():
 @given(st.lists(st.floats(20.0, 100.0), min_size=1, max_size=12), st.sampled_from([SEA, HIGH]))
 def test_no_lever_play_breaks_a_limit(targets, place):
     commands = np.repeat(np.r_[targets[0], targets], round(1.5 / DT))
-    _, delta, root = run(commands[:1], place=place)
-    limits = (104.0 * root, 1250.0 * root**2, 2.6e6 * delta)
+    root = run(commands[:1], place=place).root
+    limits = (104.0 * root, 1250.0 * root**2)
     flight = run(commands, parameters(limits), place)
     speed, pressure, fuel = flight.rows[:, [N2_OUT, PS3_OUT, FUEL_OUT]].T
     ratio = np.interp(speed / flight.root, N2, FUEL / PS3) * flight.root * pressure
     assert np.all(fuel <= 1.35 * ratio * (1.0 + 1e-9))
     assert np.all(fuel >= 0.65 * ratio * (1.0 - 1e-9))
-    for column, limit in zip((N2_OUT, T45_OUT, PS3_OUT), limits, strict=True):
+    for column, limit in zip((N2_OUT, T45_OUT), limits, strict=True):
         assert np.max(flight.rows[:, column]) <= 1.01 * limit
-
-
-def test_governor_designs_what_its_formula_says():
-    line = np.array([0.0, 50.0, 100.0]), np.array([0.1, 0.6, 1.1])
-    gain, reset, lead = fadec.governor(*line, (0.5, 0.2, 0.1))
-    np.testing.assert_allclose(gain, 0.01 * 0.5 / (4.0 * 0.9**2 * 0.1))
-    assert (reset, lead) == (0.5, 0.2)

@@ -11,9 +11,8 @@ from scipy.interpolate import PchipInterpolator
 
 from narxcal.atmosphere import air_state
 from narxcal.support.errors import ConfigError
+from narxcal.turbofan.design import preset
 from narxcal.turbofan.lever import (
-    BUSINESS_JET,
-    SINGLE_AISLE,
     LeverParameters,
     _monotone,
     idle,
@@ -98,6 +97,7 @@ def test_the_bias_is_on_what_is_read_not_on_the_lever():
 
 # --- ratings ---
 
+BUSINESS_JET, SINGLE_AISLE = (preset(name).ratings for name in ("business_jet", "single_aisle"))
 PRESETS = pytest.mark.parametrize("ratings", [BUSINESS_JET, SINGLE_AISLE])
 TAKE_OFF_DEG = 85.0
 

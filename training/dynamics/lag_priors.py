@@ -21,7 +21,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from narxcal.lumped.engine import LumpedEngine, shapes_of
-from narxcal.lumped.rotors import HEAT, LIMITED, LINES, OTHER_LINES, REGRESSORS, SLOPES
+from narxcal.lumped.governed import HEAT, LINES, OTHER_LINES, REGRESSORS, SLOPES
+from narxcal.lumped.limited import LIMITED
 from narxcal.support.arrays import BoolArray, FloatArray, IntArray
 
 

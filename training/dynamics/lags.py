@@ -51,7 +51,7 @@ from data_prep.log import Log
 from narxcal.atmosphere import air_at
 from narxcal.channels import described
 from narxcal.lumped.engine import LumpedEngine, Slopes, Starts, core_of
-from narxcal.lumped.rotors import Drive
+from narxcal.lumped.states import Drive
 from narxcal.steady.model import SteadyStateModel
 from narxcal.support.arrays import BoolArray, FloatArray, IntArray, spans
 from narxcal.support.errors import DataError

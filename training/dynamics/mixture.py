@@ -37,7 +37,7 @@ from scipy.optimize import minimize
 from scipy.signal import lfilter
 
 from data_prep.log import Log
-from narxcal.calibration.calibration import DynamicCalibration
+from narxcal.calibration.dynamic import DynamicCalibration
 from narxcal.calibration.members import Kind, Member
 from narxcal.channels import spools_of
 from narxcal.support.arrays import BoolArray, FloatArray, known_mean

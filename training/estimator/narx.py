@@ -32,7 +32,7 @@ from rich.progress import Progress
 from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.exceptions import NotFittedError
 
-from narxcal.calibration.bundle import WEIGHTS, ModelFolder, packed, seal
+from narxcal.calibration.folder import WEIGHTS, ModelFolder, packed, seal
 from narxcal.intervals import Band
 from narxcal.narx.config import NarxConfig
 from narxcal.narx.forms import DynamicModel, from_rest

@@ -23,9 +23,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from narxcal.state_space import StateSpace
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
-from narxcal.transfer import StateSpace
 from training.steady.static_fit import Boxed
 
 Record = tuple[FloatArray, FloatArray]

@@ -24,7 +24,7 @@ from data_prep.sources.units import find_unit
 from eval.diagnosis.blind.cases import BlindPlan
 from eval.diagnosis.blind.make import Made
 from narxcal.channels import channel
-from narxcal.flight_test.sensors import first_order
+from narxcal.flight_test.signals import first_order
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, DataError
 

@@ -40,7 +40,8 @@ from eval.diagnosis.blind.truth import (
     outputs_for,
 )
 from eval.diagnosis.pairs import read_folder
-from narxcal.flight_test.sensors import ChannelSensor, SensorConfig, Streams, first_order, record
+from narxcal.flight_test.sensors import ChannelSensor, SensorConfig, Streams, record
+from narxcal.flight_test.signals import first_order
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
 

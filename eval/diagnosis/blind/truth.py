@@ -93,12 +93,12 @@ class Specimen:
     def flight(self, number: int) -> Flight:
         """Plan flight `number`, counted from 0."""
         random = self._random("flight", number)
-        plan = FlightPlan(
-            style=self.case.style,
-            aircraft="business_jet" if self.case.engine in KINDS else self.case.engine,
-            duration_s=self.plan.duration_s,
-            rate_hz=self.plan.rate_hz,
-        )
+        plan = FlightPlan.parse({
+            "style": self.case.style,
+            "aircraft": "business_jet" if self.case.engine in KINDS else self.case.engine,
+            "duration_s": self.plan.duration_s,
+            "rate_hz": self.plan.rate_hz,
+        })  # fmt: skip
         inputs = dict(plan_flight(plan, int(random.integers(2**31)))["left"])
         if self.case.engine == "lumped_fuel":
             inputs = _fuelled(inputs)

@@ -30,7 +30,7 @@ from eval.reproduce.response import (
     worst_relative_pct,
 )
 from eval.run_logs import EvaluateConfig
-from narxcal.calibration.calibration import narx_features
+from narxcal.calibration.dynamic import narx_features
 from training.pipeline import calibrate
 
 

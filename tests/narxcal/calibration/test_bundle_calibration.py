@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from narxcal import Bundle, ModelError, NarxcalError, load_bundle, save_bundle
-from narxcal.calibration.bundle import seal
+from narxcal.calibration.folder import seal
 from narxcal.calibration.run_record import RunRecord
 from narxcal.cli.app import main
 from narxcal.steady.fitted import FittedSteadyState, Layout
@@ -217,7 +217,9 @@ def test_garbage_with_a_fitting_hash_is_refused_or_runs(calibrated, tmp_path, ma
             load_bundle(run).calibration.simulate(LOG[:5])
         except NarxcalError as error:
             refused.append((path, value, str(error)))
-    assert len(refused) > len(cases) // 2
+    # What only describes the arrays is read by nobody.
+    read = [path for path, _ in cases if path[:2] != ("weights", "arrays")]
+    assert len(refused) > len(read) // 2
     assert [case for case in refused if str(run) not in case[2]] == []
 
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from narxcal.calibration.calibration import DynamicCalibration, narx_features
+from narxcal.calibration.dynamic import DynamicCalibration, narx_features
 from narxcal.calibration.members import Member
 from narxcal.lumped.engine import LumpedEngine
-from narxcal.lumped.rotors import LIMITED
+from narxcal.lumped.limited import LIMITED
 from narxcal.narx.config import NarxConfig
 from narxcal.narx.module import NarxNet
 from narxcal.narx.network import NarxModel, Scaling
@@ -110,14 +110,6 @@ def test_its_own_free_run_is_predicted_and_nothing_after_a_masked_sample():
     measured[20, 0] = np.nan
     unknown = np.isnan(model.predict(inputs, measured)).any(axis=1)
     assert np.flatnonzero(unknown).tolist() == [0, 21]
-
-
-def test_a_bundle_without_lags_of_an_older_version_is_read():
-    model = calibration()
-    network = NarxModel(NarxNet(NarxConfig(moving=2), 5, 2), plain(5), plain(2))
-    meta, arrays = DynamicCalibration(model.steady, network, 0.1, ("Mach",)).to_arrays()
-    del meta["lag"]
-    assert DynamicCalibration.from_arrays(meta, arrays).lag is None
 
 
 def plain(count):

@@ -9,8 +9,8 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from narxcal.calibration.bundle import Bundle
-from narxcal.calibration.calibration import DynamicCalibration
 from narxcal.calibration.certificate import Certificate, certify, settling
+from narxcal.calibration.dynamic import DynamicCalibration
 from narxcal.calibration.identified import (
     EngineDynamics,
     IdentifiedCalibration,
@@ -23,10 +23,11 @@ from narxcal.narx.config import NarxConfig
 from narxcal.narx.module import NarxNet
 from narxcal.narx.network import NarxModel, Scaling
 from narxcal.output_error.engine import EngineFromSteady
+from narxcal.state_space import StateSpace
 from narxcal.steady.table import SteadyTable
 from narxcal.support.errors import ModelError
 from narxcal.support.settings import read_stored
-from narxcal.transfer import Schedule, StateSpace
+from narxcal.transfer import Schedule
 from training.dynamics.lag_priors import Form, start_engine
 
 INPUTS, OUTPUTS = ("TRA_deg", "ALT_ft", "Mach"), ("N1_pct", "N2_pct", "EGT_C")

@@ -12,9 +12,9 @@ from narxcal.calibration.identified import (
     calibration_from_arrays,
 )
 from narxcal.calibration.members import Member
+from narxcal.state_space import StateSpace
 from narxcal.steady.table import SteadyTable
 from narxcal.support.errors import ModelError
-from narxcal.transfer import StateSpace
 
 NAMES, DT_S = (("TRA_deg", "ALT_ft"), ("N1_pct", "EGT_C")), 0.1
 

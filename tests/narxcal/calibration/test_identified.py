@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from narxcal import Bundle, load_bundle, save_bundle
-from narxcal.calibration.bundle import seal
+from narxcal.calibration.folder import seal
 from narxcal.calibration.identified import (
     EngineDynamics,
     IdentifiedCalibration,
@@ -16,13 +16,14 @@ from narxcal.calibration.identified import (
     StateSpaceDynamics,
 )
 from narxcal.output_error.engine import EngineFromSteady
+from narxcal.state_space import StateSpace
 from narxcal.static_models import mattingly
 from narxcal.static_models.model import StaticLaws
 from narxcal.steady.model import Envelope
 from narxcal.steady.table import SteadyTable
 from narxcal.support.errors import ModelError
 from narxcal.support.files import to_json
-from narxcal.transfer import Schedule, StateSpace
+from narxcal.transfer import Schedule
 
 DT = 0.1
 NAMES = (("TRA_deg", "ALT_ft"), ("N1_pct", "N2_pct", "EGT_C"))

@@ -56,10 +56,8 @@ def test_a_correction_replaces_the_newest_output():
     assert state.advance(np.zeros((1, 2)))[0, 0] == pytest.approx(0.6 * 4.0)
 
 
-def test_a_stored_member_comes_back_one_of_an_older_version_stands_alone():
+def test_a_stored_member_comes_back():
     assert Member.from_json(ARX.to_json()) == ARX
-    older = {name: value for name, value in ARX.to_json().items() if name != "weight"}
-    assert Member.from_json(older).weight == 1.0
     with pytest.raises(ModelError) as caught:
         Member.from_json(ARX.to_json() | {"kind": "magic"})
     assert str(caught.value).startswith(

@@ -40,7 +40,8 @@ def test_true_parameters_are_found_at_every_noise_level(measurement):
 def test_estimated_noise_makes_the_innovations_consistent():
     p, _, z = record(8_000, 2)
     noise = estimate_noise(z, p, 0.1)
-    assert KalmanFuser(noise).run(p[:, None], z[:, None]).consistency().consistent
+    check = KalmanFuser(noise).run(p[:, None], z[:, None]).consistency()
+    assert check.low < check.mean_nis < check.high
 
 
 def test_missing_samples_do_not_bias_the_estimate():
@@ -153,11 +154,6 @@ def model():
 def test_a_noise_model_survives_json(model):
     again = NoiseModel.from_dict(json.loads(json.dumps(model.to_dict())))
     assert again.to_dict() == model.to_dict()
-
-
-def test_a_noise_model_of_an_older_version_with_correlations_is_read(model):
-    table = {**model.to_dict(), "correlation": [[1.0]]}
-    assert NoiseModel.from_dict(table).to_dict() == model.to_dict()
 
 
 def test_a_noise_model_that_is_no_table_of_numbers_is_refused(model):

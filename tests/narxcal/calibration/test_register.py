@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from narxcal.calibration.register import OVERSHOOT, Parts, Register, Sample, stacked
 from narxcal.lumped.engine import LumpedEngine
-from narxcal.lumped.rotors import LIMITED
+from narxcal.lumped.limited import LIMITED
 from narxcal.narx import kernels
 from narxcal.narx.module import NarxNet
 from narxcal.narx.network import AT_START, NarxConfig, NarxModel, Scaling

@@ -10,7 +10,7 @@ from eval.diagnosis.blind import truth
 from eval.diagnosis.blind.cases import BlindPlan
 from eval.diagnosis.blind.make import make_cases
 from eval.diagnosis.blind.outcome import Outcome
-from narxcal.flight_test.sensors import first_order
+from narxcal.flight_test.signals import first_order
 from narxcal.turbofan.engine import INPUT_NAMES
 
 

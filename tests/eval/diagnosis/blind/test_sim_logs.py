@@ -18,7 +18,7 @@ from eval.diagnosis.blind.sim_logs import (
 from eval.diagnosis.blind.truth import NOTHING
 from eval.diagnosis.pairs import read_folder
 from narxcal.effects.library import name_of
-from narxcal.flight_test.sensors import first_order
+from narxcal.flight_test.signals import first_order
 from narxcal.support.errors import DataError
 
 PLAN = BlindPlan(cases=5, flights=3, held_out=2, seed=3)
