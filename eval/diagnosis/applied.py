@@ -27,9 +27,9 @@ from data_prep.prepare import hold_inputs
 from eval.diagnosis.expected import Values, claimed_in, settings, with_effects
 from eval.diagnosis.simulators import Simulate
 from narxcal.channels import CHANNELS
-from narxcal.effects.base import InputEffect, SettledEffect, ShiftEffect, Signals
+from narxcal.effects.base import Signals
 from narxcal.effects.running import Flights, Setting, acts_inside, arrived, read
-from narxcal.effects.steady import UNLOGGED, UnloggedSwitch
+from narxcal.effects.steady import UNLOGGED, UNLOGGED_SWITCH
 from narxcal.support.arrays import FloatArray, block_means, bridge_gaps
 from narxcal.support.errors import ConfigError, DataError, ModelError
 from narxcal.two_spool import TwoSpool
@@ -63,7 +63,7 @@ class FoundEffects:
     @property
     def has_load(self) -> bool:
         """Whether a load that no channel records is among the effects."""
-        return UnloggedSwitch.id in self.values
+        return UNLOGGED_SWITCH.id in self.values
 
     def knows(self, name: str) -> bool:
         """Whether the log of that name was searched for windows of the load."""
@@ -125,11 +125,11 @@ class FoundEffects:
 
     def _way(self, setting: Setting, *, again: bool) -> str:
         effect = setting[0]
-        if again and isinstance(effect, InputEffect):
+        if again and effect.arrives is not None:
             return INPUTS
-        if isinstance(effect, ShiftEffect):
+        if effect.shifts is not None:
             return SHIFTED
-        inside = isinstance(effect, InputEffect) or acts_inside(setting, self.signals)
+        inside = effect.arrives is not None or acts_inside(setting, self.signals)
         return EMULATED if inside else OUTPUTS
 
     def _complete(self, log: Log, name: str, outputs: tuple[str, ...] = ()) -> Log:
@@ -197,7 +197,7 @@ class FoundEffects:
             effect.name: {
                 p.name: self.values[effect.name].get(p.name, p.neutral)
                 for p in effect.parameters(self.signals)
-                if not p.linear or isinstance(effect, SettledEffect)
+                if not p.linear or effect.settled
             }
             for effect, theta in found
             if acts_inside((effect, theta), self.signals)

@@ -57,7 +57,7 @@ from eval.report.tables import Shown, Summary
 from eval.run_logs import evaluation_logs, run_config
 from narxcal.calibration.bundle import DOCUMENT, load_bundle
 from narxcal.effects.running import Emulator, with_load
-from narxcal.effects.steady import UnloggedSwitch
+from narxcal.effects.steady import UNLOGGED_SWITCH
 from narxcal.support.errors import ConfigError, DataError, NarxcalError
 from narxcal.support.progress import Progress, silent
 from training.config import RunConfig
@@ -94,12 +94,10 @@ class Request(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Answer(Shown):
-    """The document of schema narxcal.gap/2, the budget it states, and what both rest on."""
+    """The document of schema narxcal.gap/2, and what it rests on."""
 
     document: dict[str, Any]
-    budget: Budget
     evidence: Evidence
-    emulator: GreyBoxEmulator
 
     @property
     def table(self) -> pd.DataFrame:
@@ -107,7 +105,7 @@ class Answer(Shown):
         rows = [
             {key: row[key] for key in ("cause", "share", "low", "high", "probability")}
             | row["channels"]
-            for row in self.budget.rows()
+            for row in self.evidence.budget.rows()
         ]
         return pd.DataFrame(rows).set_index("cause")
 
@@ -302,8 +300,8 @@ def diagnose_pairs(  # noqa: PLR0913 - what is known of the pairs, each part by 
     facts = facts_of(pairs, data, held)
     facts["warnings"] = [*doubts, *facts["warnings"]]
     facts["warnings"] += coarse_emulator(evidence, again=again is not None)
-    evidence = replace(evidence, facts=facts)
-    return Answer(document(evidence, pairs), found, evidence, emulator)
+    evidence = replace(evidence, facts=facts, emulator=emulator)
+    return Answer(document(evidence, pairs), evidence)
 
 
 def _refused(evidence: Evidence, record: Record, differences: NullModel) -> str:
@@ -338,6 +336,7 @@ def _evidence(
         time_shrink(data, after, where.events),
         expected(seen(data, after, found.by_others)) if values else _NOTHING,
         channel_shrink(data, after),
+        emulator,
         dict(zip(data.flights.signals.outputs, errors, strict=True)),
     )
 
@@ -350,7 +349,7 @@ def _with_held_out(
 ) -> Evidence:
     """Add what the effects do in further flights, and errors there of an emulator `checked`."""
     found = evidence.budget
-    if UnloggedSwitch.id in found.claimed:
+    if UNLOGGED_SWITCH.id in found.claimed:
         data = _with_windows(found.claimed, data, stand_in)
     there = held_out(found.claimed, data, stand_in)
     if checked is not None:
@@ -361,7 +360,7 @@ def _with_held_out(
         evidence, held_out=there, times=time_shrink(data, there.after, events_of(data))
     )
     # Windows of a load in further flights are found in what was recorded: no prediction.
-    if not found.claimed or UnloggedSwitch.id in found.claimed:
+    if not found.claimed or UNLOGGED_SWITCH.id in found.claimed:
         return evidence
     here = seen(evidence.data, evidence.after, found.by_others)
     return replace(evidence, predicted=expected(here, unseen(data, there.after)))
@@ -372,7 +371,7 @@ def _with_windows(values: Values, data: GapData, emulator: Emulator) -> GapData:
 
     The gap of these flights gives the windows, the claim the size.
     """
-    others = {name: each for name, each in values.items() if name != UnloggedSwitch.id}
+    others = {name: each for name, each in values.items() if name != UNLOGGED_SWITCH.id}
     y = with_effects(others, data.flights, emulator)
     record = record_of(replace(data, flights=replace(data.flights, y=y)))
     metric = Metric(record, assumed_variance(record))

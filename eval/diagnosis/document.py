@@ -17,12 +17,14 @@ from eval.diagnosis.flights import GapData
 from eval.diagnosis.pairs import Pair
 from eval.diagnosis.where import Row, Sides, Where
 from narxcal.channels import SPOOLS
-from narxcal.effects.base import InputEffect, RateEffect, SettledEffect, ShiftEffect, unit
-from narxcal.effects.library import LIBRARY, effect
-from narxcal.effects.steady import UnloggedSwitch
+from narxcal.effects.base import unit
+from narxcal.effects.library import effect
+from narxcal.effects.running import emulates_input
+from narxcal.effects.steady import TAKEN, UNLOGGED_SWITCH
 from narxcal.support.arrays import FloatArray, spans
 from narxcal.support.files import versions
 from training.diagnosis.budget import UNEXPLAINED, Budget, Interval
+from training.diagnosis.emulator import GreyBoxEmulator
 from training.diagnosis.nuisances import most_of_build
 
 FEW: Final = 3  # flights: fewer say little of the spread between them
@@ -39,8 +41,8 @@ class Evidence:
     `after` (flights, time, outputs) is the simulator with the claimed effects, or as it was where
     nothing is claimed; `predicted` the share of the squared gap that they will take off other
     flights, `channels` the RMSE on these. `times` is how Ti and Tt errors shrink with them, per
-    channel, on held-out flights where there are any. `emulator_rmse` is of the emulator's free run;
-    `facts` go into `quality` as they are.
+    channel, on held-out flights where there are any. `emulator_rmse` is of the `emulator`'s free
+    run; `facts` go into `quality` as they are.
     """
 
     data: GapData
@@ -50,6 +52,7 @@ class Evidence:
     times: Mapping[str, TimeShrink]
     predicted: Interval
     channels: Mapping[str, ChannelShrink]
+    emulator: GreyBoxEmulator
     emulator_rmse: Mapping[str, float]
     held_out: HeldOut | None = None
     facts: Mapping[str, object] = field(default_factory=dict)
@@ -96,7 +99,7 @@ def _effect_rows(found: Budget, pairs: Sequence[Pair], dt_s: float) -> list[dict
         for pair, on, edges in zip(pairs, found.on, found.edges, strict=True)
         for k, (start, stop) in enumerate(spans(on))
     ]
-    return [row | {"windows": windows} if row["id"] == UnloggedSwitch.id else row for row in rows]
+    return [row | {"windows": windows} if row["id"] == UNLOGGED_SWITCH.id else row for row in rows]
 
 
 def _side(found: Budget, where: Where) -> Sides:
@@ -105,7 +108,7 @@ def _side(found: Budget, where: Where) -> Sides:
         return where.side
     votes = dict.fromkeys(Sides._fields, 0.0)
     for one in found.effects:
-        votes[LIBRARY[one.name.partition(":")[0]].side] += one.probability
+        votes[effect(one.name).side] += one.probability
     whole = max(sum(votes.values()), 1e-9)
     return Sides(**{side: vote / whole for side, vote in votes.items()})
 
@@ -230,9 +233,8 @@ def rests_on_emulator(values: Values, *, again: bool) -> bool:
 def _emulated(name: str, values: Mapping[str, float], *, again: bool) -> bool:
     """Whether what it does rests on the emulator: of loads and heat what they take of the core."""
     kind = effect(name)
-    inward = isinstance(kind, InputEffect) and not isinstance(kind, ShiftEffect)
-    takes = values.get("loss", 0.0) > 0.0
-    return isinstance(kind, (RateEffect, SettledEffect)) or takes or (inward and not again)
+    takes = values.get(TAKEN.name, 0.0) > 0.0
+    return kind.on_rates or kind.settled or takes or (emulates_input(kind) and not again)
 
 
 def _few(pairs: Sequence[Pair]) -> Iterator[str]:

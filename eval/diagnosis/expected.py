@@ -28,7 +28,7 @@ from eval.diagnosis.flights import GapData
 from narxcal.effects.base import Signals
 from narxcal.effects.library import effect, name_of
 from narxcal.effects.running import Emulator, Flights, Setting, respond
-from narxcal.effects.steady import UnloggedSwitch
+from narxcal.effects.steady import UNLOGGED_SWITCH
 from narxcal.support.arrays import FloatArray, IntArray
 from narxcal.support.errors import ConfigError
 from training.diagnosis.budget import Interval
@@ -114,7 +114,7 @@ def _theta(name: str, given: Mapping[str, float], signals: Signals) -> FloatArra
 
 def shift_of(values: Values, signals: Signals) -> FloatArray:
     """What the claimed load shifts each output by, (outputs,)."""
-    sizes = values[UnloggedSwitch.id]
+    sizes = values[UNLOGGED_SWITCH.id]
     return np.array([sizes.get(f"on_{name}", 0.0) for name in signals.outputs])
 
 

@@ -31,7 +31,7 @@ from eval.diagnosis.applied import EMULATOR, gap_document, read_emulator, signal
 from narxcal.effects.base import Effect, Signals
 from narxcal.effects.library import effect, name_of
 from narxcal.effects.running import Flights, response
-from narxcal.effects.steady import UNLOGGED, UnloggedSwitch
+from narxcal.effects.steady import UNLOGGED, UNLOGGED_SWITCH
 from narxcal.flight_test.moves import moves
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError
@@ -144,7 +144,7 @@ def _hypotheses(document: Mapping[str, Any]) -> list[Hypothesis]:
     verdict, rows = document["verdict"], {}
     none = Hypothesis(None, np.zeros(0), np.zeros(0), float(verdict.get("none", 0.0)))
     for row in document["effects"]:
-        if row["id"] != UnloggedSwitch.id:
+        if row["id"] != UNLOGGED_SWITCH.id:
             rows[name_of(row)] = row
     names, also = [], []
     if verdict["kind"] == "ambiguous":

@@ -10,7 +10,7 @@ from eval.judging.outcome import Outcome
 from eval.report.style import number
 from narxcal.channels import CHANNELS, symbol
 from narxcal.effects.library import effect, name_of
-from narxcal.effects.steady import SWITCHES, TakingEffect
+from narxcal.effects.steady import SWITCHES, TAKEN
 from narxcal.intervals import LEVEL
 
 NAMED: Final = {
@@ -36,7 +36,7 @@ _SHAPES: Final = {
     **{name: f"with {symbol(name)}" for name in SWITCHES},
 }
 _MEANINGS: Final = {
-    TakingEffect.taken.name: "acceleration lost over the range of EGT",
+    TAKEN.name: "acceleration lost over the range of EGT",
     "own_s": "the lag that the simulated channel has already",
 }
 _MOST_NAMED = 3

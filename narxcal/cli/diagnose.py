@@ -103,7 +103,7 @@ def write(folder: Path, found: Answer) -> dict[str, Any]:
     (folder / DOCUMENT).write_text(to_json(document), encoding="utf-8")
     atomic_write_text(folder / PAGE, page.html)
     (folder / EMULATOR).mkdir()
-    write_emulator(folder / EMULATOR, found.emulator)
+    write_emulator(folder / EMULATOR, found.evidence.emulator)
     return document
 
 

@@ -80,7 +80,7 @@ def frozen(start, stop):
 def test_an_engine_flies_the_air_data_that_are_meant(name, theta, recorded, true, flights):
     rows = np.repeat(flights.u[:1, :1], 400, axis=1)
     rows[..., 1] = recorded
-    found = effect(name).on_input(Run(flights.signals, np.array([[theta]]), rows), rows)
+    found = effect(name).on_input(Run(flights.signals, np.array([[theta]]), rows, "ALT_ft"), rows)
     np.testing.assert_allclose(found[0, :, 1], true)
     np.testing.assert_array_equal(np.delete(found, 1, axis=2), np.delete(rows, 1, axis=2))
 
@@ -92,7 +92,7 @@ def test_an_engine_flies_the_air_data_that_are_meant(name, theta, recorded, true
         ("spool_coupling", [2.0], {"fan_up": 0.5, "fan_down": 0.5}),
         ("accel_decel_asymmetry", [2.0, 0.0], {"fan_up": 0.5, "core_up": 0.5}),
         ("accel_decel_asymmetry", [2.0, 1.0], {"fall": 2.0}),
-        ("accel_limit", [0.4], {"limit": 0.4}),
+        ("accel_limit", [0.4, 30.0], {"limit": 0.4}),
         ("accel_limit", [1.0, 3.0], {"most": 3.0}),
         ("altitude_lag", [0.8], {"thin_air": 0.8}),
         ("actuator_lag", [0.6, 2.0, 0.0], {"valve_s": 0.6, "core_s": 2.0}),
@@ -162,8 +162,8 @@ def test_effects_on_the_pace_add_up(flights):
 PACES = [
     ("spool_lag", [2.0]),
     ("spool_coupling", [1.5]),
-    ("accel_limit", [0.4]),
-    ("accel_limit", [0.5]),
+    ("accel_limit", [0.4, 30.0]),
+    ("accel_limit", [0.5, 30.0]),
     ("altitude_lag", [0.3]),
     ("actuator_lag", [0.6, 1.0, 0.0]),
 ]

@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 
 from narxcal.effects.base import Parameter
-from narxcal.effects.library import LIBRARY
+from narxcal.effects.library import effect as effect_called
 from narxcal.effects.running import Emulator, Flights, response
 from narxcal.support.arrays import FloatArray
 from training.diagnosis.metric import Record
@@ -156,12 +156,11 @@ def _small(flights: Flights, emulator: Emulator | None) -> list[tuple[str, Float
     if emulator is None:
         return found
     for name, given in sizes.items():
-        kind, _, channel = name.partition(":")
-        effect = LIBRARY[kind](channel or None)
-        if effect.applies(signals) and (kind != "throttle_backlash" or signals.governed):
+        effect = effect_called(name)
+        if effect.applies(signals) and (name != "throttle_backlash" or signals.governed):
             theta = theta_of(effect.parameters(signals), given)
             found.append((name, response(effect, theta, flights, emulator)))
-    soak = LIBRARY["heat_soak"]()
+    soak = effect_called("heat_soak")
     for p in soak.parameters(signals):
         if p.linear:
             given = {"tau_s": 40.0, "rise_s": 1.0, p.name: 0.015}

@@ -86,7 +86,7 @@ def evidence(make_data, make_budget, probe):
         found = make_budget("effects", {name: parameters or {"tau_s": Interval(1.0, 0.9, 1.1)}})
         data = make_data(probe, flights=2)
         share = Interval(0.9, 0.8, 1.0)
-        return Evidence(data, found, locate(data), data.flights.y, {}, share, {}, own)
+        return Evidence(data, found, locate(data), data.flights.y, {}, share, {}, None, own)
 
     return build
 

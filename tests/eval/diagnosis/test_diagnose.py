@@ -206,7 +206,7 @@ def test_a_picture_that_cannot_be_drawn_costs_nothing_but_itself(answer, pair, p
         raise ValueError("no columns")
 
     found = diagnose_pairs([pair(seed, probe) for seed in range(3)])
-    monkeypatch.setattr(page, "drawing", broken)
+    monkeypatch.setattr(page.pictures, "effect_picture", broken)
     made = page.budget_page(found.document, found.evidence)
     assert made.failed == (f"{NAME} could not be drawn (ValueError: no columns)",)
     assert made.failed[0] in made.html

@@ -28,6 +28,7 @@ def evidence(make_data, probe, make_budget):
         time_shrink(held.data, held.after, ((), ())),
         Interval(0.9, 0.8, 1.0),
         channel_shrink(data, after),
+        None,
         {"EGT_C": 0.4},
         held,
         {"warnings": ["few"]},
