@@ -13,7 +13,6 @@ from data_prep.cleaning.plausibility import conversions
 from data_prep.events import PULL, PUSH
 from eval.diagnosis.applied import GAP_SCHEMA, signals_to_json
 from eval.diagnosis.expected import ChannelShrink, HeldOut, TimeShrink, Values
-from eval.diagnosis.flights import GapData
 from eval.diagnosis.pairs import Pair
 from eval.diagnosis.where import Row, Sides, Where
 from narxcal.channels import SPOOLS
@@ -25,6 +24,7 @@ from narxcal.support.arrays import FloatArray, spans
 from narxcal.support.files import versions
 from training.diagnosis.budget import UNEXPLAINED, Budget, Interval
 from training.diagnosis.emulator import GreyBoxEmulator
+from training.diagnosis.metric import Record
 from training.diagnosis.nuisances import most_of_build
 
 FEW: Final = 3  # flights: fewer say little of the spread between them
@@ -45,7 +45,7 @@ class Evidence:
     run; `facts` go into `quality` as they are.
     """
 
-    data: GapData
+    data: Record
     budget: Budget
     where: Where
     after: FloatArray
@@ -196,7 +196,7 @@ def _measured(found: Budget, where: Where) -> dict[str, Any]:
     }
 
 
-def cautions(pairs: Sequence[Pair], data: GapData) -> list[str]:
+def cautions(pairs: Sequence[Pair], data: Record) -> list[str]:
     """What the logs give reason to be careful about."""
     return [*_few(pairs), *_left_out(pairs), *_unknown(pairs), *implausible(data)]
 
@@ -209,7 +209,7 @@ def coarse_emulator(evidence: Evidence, *, again: bool) -> list[str]:
     """
     if not rests_on_emulator(evidence.budget.claimed, again=again):
         return []
-    gap = np.sqrt(np.nanmean(evidence.data.gap**2, axis=(0, 1)))
+    gap = np.sqrt(np.nanmean(evidence.data.difference**2, axis=(0, 1)))
     own = evidence.emulator_rmse
     coarse = [
         f"{name} ({own[name]:.3g} of {size:.3g})"
@@ -257,7 +257,7 @@ def _unknown(pairs: Sequence[Pair]) -> Iterator[str]:
         yield f"{cut} samples at the ends of flights have no partner and are cut"
 
 
-def implausible(data: GapData) -> list[str]:
+def implausible(data: Record) -> list[str]:
     """What no engine and no sensor of the library does: another unit, another speed for 100 %.
 
     A channel is in another unit where recorded and simulated differ by more than builds can, on
@@ -267,7 +267,7 @@ def implausible(data: GapData) -> list[str]:
     for k, name in enumerate(data.flights.signals.outputs):
         real, sim = (
             data.real[..., k],
-            np.where(np.isfinite(data.gap[..., k]), data.flights.y[..., k], np.nan),
+            np.where(np.isfinite(data.difference[..., k]), data.flights.y[..., k], np.nan),
         )
         apart = _middle(real - sim)
         if _middle(np.abs(real - sim)) <= most[k]:
@@ -295,7 +295,7 @@ def _middle(values: FloatArray) -> float:
     return float(np.nanmedian(values))
 
 
-def facts_of(pairs: Sequence[Pair], data: GapData, held: Sequence[Pair]) -> dict[str, Any]:
+def facts_of(pairs: Sequence[Pair], data: Record, held: Sequence[Pair]) -> dict[str, Any]:
     """`quality` of `gap.json`, as far as it is of the logs."""
     return {
         "flights": [pair.name for pair in pairs],

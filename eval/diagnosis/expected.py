@@ -24,7 +24,6 @@ import numpy as np
 from scipy.stats import t
 
 from data_prep.events import PUSH, Event
-from eval.diagnosis.flights import GapData
 from narxcal.effects.base import Signals
 from narxcal.effects.library import effect, name_of
 from narxcal.effects.running import Emulator, Flights, Setting, respond
@@ -32,6 +31,7 @@ from narxcal.effects.steady import UNLOGGED_SWITCH
 from narxcal.support.arrays import FloatArray, IntArray
 from narxcal.support.errors import ConfigError
 from training.diagnosis.budget import Interval
+from training.diagnosis.metric import Record
 from training.responses.response import Transient, TransientConfig, measure_transient
 
 Values = Mapping[str, Mapping[str, float]]  # effect -> parameter -> value
@@ -66,7 +66,7 @@ class HeldOut:
     `emulator_rmse` per channel is of the emulator's free run there, where the effects rest on it.
     """
 
-    data: GapData
+    data: Record
     share: float
     channels: Mapping[str, ChannelShrink]
     after: FloatArray
@@ -125,7 +125,7 @@ def with_effects(values: Values, flights: Flights, emulator: Emulator | None) ->
     return np.asarray(respond(settings(values, flights.signals), flights, emulator)[0])
 
 
-def held_out(values: Values, data: GapData, emulator: Emulator | None) -> HeldOut:
+def held_out(values: Values, data: Record, emulator: Emulator | None) -> HeldOut:
     """Add the effects to the simulator of flights that took no part in finding them."""
     after = with_effects(values, data.flights, emulator)
     share = float(pooled_share(*squares(data, after)))
@@ -133,7 +133,7 @@ def held_out(values: Values, data: GapData, emulator: Emulator | None) -> HeldOu
 
 
 def squares(
-    data: GapData, after: FloatArray, unit: IntArray | None = None
+    data: Record, after: FloatArray, unit: IntArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
     """Sums of squares of the gap above the noise per flight, before and `after`: (flights,) each.
 
@@ -141,10 +141,10 @@ def squares(
     `noise^2 + (0.001 range)^2`, so that anybody can form them from the logs. Per `unit`
     (flights, time) where that is given.
     """
-    floor = np.isfinite(data.gap) * data.noise**2
+    floor = np.isfinite(data.difference) * data.noise**2
     before, left = (
         _summed(np.nansum((each**2 - floor) / data.variance, axis=2), unit)
-        for each in (data.gap, data.real - after)
+        for each in (data.difference, data.real - after)
     )
     return before, left
 
@@ -165,9 +165,9 @@ def pooled_share(before: FloatArray, left: FloatArray) -> float:
     return min(1.0, 1.0 - float(left.sum()) / whole) if whole > 0.0 else 0.0
 
 
-def channel_shrink(data: GapData, after: FloatArray) -> dict[str, ChannelShrink]:
+def channel_shrink(data: Record, after: FloatArray) -> dict[str, ChannelShrink]:
     """Root mean squares of recorded less simulated, before and after, and the noise."""
-    before = np.sqrt(np.nanmean(data.gap**2, axis=(0, 1)))
+    before = np.sqrt(np.nanmean(data.difference**2, axis=(0, 1)))
     left = np.sqrt(np.nanmean((data.real - after) ** 2, axis=(0, 1)))
     return {
         name: ChannelShrink(float(before[k]), float(left[k]), float(data.noise[k]))
@@ -176,7 +176,7 @@ def channel_shrink(data: GapData, after: FloatArray) -> dict[str, ChannelShrink]
 
 
 def time_shrink(
-    data: GapData, after: FloatArray, events: Sequence[Sequence[Event]]
+    data: Record, after: FloatArray, events: Sequence[Sequence[Event]]
 ) -> dict[str, TimeShrink]:
     """Errors of Ti and Tt before and after, over the events that could be read both times."""
     first = time_errors(data, data.flights.y, events)
@@ -221,7 +221,7 @@ class Other(NamedTuple):
 
 
 def seen(
-    data: GapData, after: FloatArray, by_others: FloatArray | None, unit: IntArray | None = None
+    data: Record, after: FloatArray, by_others: FloatArray | None, unit: IntArray | None = None
 ) -> Sums:
     """Sum up flight by flight what `after` (flights, time, outputs) changes and leaves.
 
@@ -233,7 +233,7 @@ def seen(
     return Sums(*squares(data, unfitted, unit), *unseen(data, after, unit))
 
 
-def unseen(data: GapData, after: FloatArray, unit: IntArray | None = None) -> Other:
+def unseen(data: Record, after: FloatArray, unit: IntArray | None = None) -> Other:
     """What `after` changes, and where anything was recorded, whatever that is."""
     known = np.isfinite(data.real)
     change = (after - data.flights.y) ** 2 / data.variance
@@ -353,7 +353,7 @@ class TimeErrors:
 
 
 def time_errors(
-    data: GapData, model: FloatArray, events: Sequence[Sequence[Event]]
+    data: Record, model: FloatArray, events: Sequence[Sequence[Event]]
 ) -> Mapping[str, TimeErrors]:
     """Read every event on every output of `data.real` and of `model` (flights, time, outputs).
 
@@ -382,7 +382,7 @@ def time_errors(
 
 
 def _read(
-    data: GapData, model: FloatArray, place: tuple[int, int], event: Event
+    data: Record, model: FloatArray, place: tuple[int, int], event: Event
 ) -> EventTimes | None:
     f, k = place
     if event.interrupted or not event.settled:

@@ -15,7 +15,7 @@ from data_prep.cleaning.clean import clean
 from data_prep.log import Finding, Log
 from data_prep.prepare import prepare
 from data_prep.reading import read_logs
-from eval.diagnosis.flights import batch, record_of
+from eval.diagnosis.flights import batch
 from eval.diagnosis.pairs import Pair, alike, pair_logs, simulated_log, with_known_inputs
 from eval.diagnosis.simulators import simulate_by
 from eval.run_logs import run_config
@@ -129,10 +129,9 @@ def learn_left_out(run: Path, *, trust: bool = False, jobs: int = -1) -> Discrep
 
 def learned_from(pairs: Sequence[Pair]) -> Discrepancy:
     """What a simulator gets wrong in flights that it was not identified on."""
-    data = batch(pairs)
-    record = record_of(data)
-    emulator = choose_control(fit_emulators(data.flights), record)
-    return learn(record, Dictionary(hypotheses(data.flights.signals), data.flights, emulator))
+    record = batch(pairs)
+    emulator = choose_control(fit_emulators(record.flights), record)
+    return learn(record, Dictionary(hypotheses(record.flights.signals), record.flights, emulator))
 
 
 def keep_learned(found: Discrepancy, run: Path) -> None:

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from data_prep.events import PUSH, Event
 from eval.diagnosis.document import Evidence
 from eval.diagnosis.expected import with_effects
-from eval.diagnosis.flights import GapData, events_of
+from eval.diagnosis.flights import events_of
 from eval.diagnosis.words import Row, cause_words, listed, surest_words
 from eval.report import style
 from eval.report.style import Picture, picture
@@ -20,6 +20,7 @@ from narxcal.channels import symbol
 from narxcal.effects.library import effect, name_of
 from narxcal.support.arrays import FloatArray
 from narxcal.support.moments import moment
+from training.diagnosis.metric import Record
 
 _OTHERS: Final = {
     "build": style.MASK,
@@ -99,7 +100,7 @@ class View(NamedTuple):
     `changed` says whether there are any; `whose` flights they are, in words.
     """
 
-    data: GapData
+    data: Record
     after: FloatArray
     events: Sequence[Sequence[Event]]
     changed: bool
@@ -125,7 +126,7 @@ def largest_event(view: View, of: FloatArray) -> tuple[int, Event] | None:
 
 def worst_flight(view: View) -> int:
     """Number of the flight with the largest mean energy of the gap."""
-    energy, lengths = _energy(view, view.data.gap), view.data.flights.lengths
+    energy, lengths = _energy(view, view.data.difference), view.data.flights.lengths
     return int(np.argmax([each[:n].sum() / n for each, n in zip(energy, lengths, strict=True)]))
 
 
@@ -136,7 +137,7 @@ def _energy(view: View, of: FloatArray) -> FloatArray:
 
 def event_picture(view: View) -> Picture | None:
     """The worst event large: driver, then every channel with its gap below; None without events."""
-    found = largest_event(view, view.data.gap)
+    found = largest_event(view, view.data.difference)
     if found is None:
         return None
     figure, what = _event(view, *found)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from data_prep.log import Log
-from narxcal.calibration.bundle import DOCUMENT, load_bundle
+from narxcal.calibration.bundle import DOCUMENT, Bundle, load_bundle
 from narxcal.calibration.calibration import Calibration
 from narxcal.channels import CHANNELS
 from narxcal.effects.base import Pace
@@ -68,10 +68,14 @@ def open_function(reference: str) -> Simulate:
 
 
 class Simulator(NamedTuple):
-    """What was named: its kind in a word, and either a folder of its logs or a function."""
+    """What was named: its kind in a word, and either a folder of its logs or a function.
+
+    A run folder has its `bundle`.
+    """
 
     kind: str
     how: Path | Simulate
+    bundle: Bundle | None = None
 
     @property
     def again(self) -> Simulate | None:
@@ -104,8 +108,8 @@ def open_simulator(source: str, *, trust: bool = False) -> Simulator:
 
 
 def _of_run(folder: Path, trust: bool) -> Simulator:
-    calibration = load_bundle(folder, trust=trust).calibration
-    declared = [name for name in calibration.input_names if name not in CHANNELS]
+    bundle = load_bundle(folder, trust=trust)
+    declared = [name for name in bundle.calibration.input_names if name not in CHANNELS]
     if declared:
         raise ModelError(
             "an input of the run is a declared channel, and a diagnosis simulates from built-in "
@@ -114,7 +118,7 @@ def _of_run(folder: Path, trust: bool) -> Simulator:
             channel=declared[0],
             hint="Train a run without it in [steady_state] inputs",
         )
-    return Simulator("bundle", simulate_by(calibration))
+    return Simulator("bundle", simulate_by(bundle.calibration), bundle)
 
 
 def _virtual_engine(name: str) -> Simulate:

@@ -63,7 +63,7 @@ def nuisances(record: Record, emulator: Emulator | None = None, build: float = 1
     very engine. What flights of one engine differ by stays.
     """
     level = levels(record.flights)
-    steady = _maps(record.flights, level)
+    steady = steady_maps(record.flights, _scatter(record.flights))
     offsets = _offsets(record.flights)
     starts = _starts(record, level)
     small = _small(record.flights, emulator)
@@ -83,14 +83,13 @@ def build_columns(flights: Flights, emulator: Emulator | None) -> list[tuple[str
 
     Steady maps have no name, small dynamics that of the effect which they are a small size of.
     """
-    steady = _maps(flights, levels(flights))
+    steady = steady_maps(flights, _scatter(flights))
     return [*(("", each) for each in steady), *_small(flights, emulator)]
 
 
 def offset_sizes(flights: Flights) -> FloatArray:
     """Standard deviation (outputs,) of the offset of a flight."""
-    shares = np.array([_share(name) for name in flights.signals.outputs])
-    return np.asarray(_OF_FLIGHT * shares * levels(flights))
+    return _OF_FLIGHT * _scatter(flights)
 
 
 def levels(flights: Flights) -> FloatArray:
@@ -102,21 +101,22 @@ def levels(flights: Flights) -> FloatArray:
 
 def most_of_build(flights: Flights) -> FloatArray:
     """The largest steady difference (outputs,) that builds of one type may have."""
-    shares = np.array([_share(name) for name in flights.signals.outputs])
-    return np.asarray(_LIMIT * shares * levels(flights))
+    return _LIMIT * _scatter(flights)
 
 
-def _share(name: str) -> float:
-    return _LEVEL_PCT.get(name, _OTHER_PCT) / 100.0
+def _scatter(flights: Flights) -> FloatArray:
+    """Standard deviation (outputs,) of what new engines differ by."""
+    percent = [_LEVEL_PCT.get(name, _OTHER_PCT) for name in flights.signals.outputs]
+    return np.asarray(np.array(percent) / 100.0 * levels(flights))
 
 
-def _maps(flights: Flights, level: FloatArray) -> FloatArray:
-    y, outputs = flights.y, flights.signals.outputs
-    p = flights.signals.power(y)
+def steady_maps(flights: Flights, sizes: FloatArray) -> FloatArray:
+    """Maps of power (3 per output, flights, time, outputs), for outputs of `sizes` (outputs,)."""
+    p = flights.signals.power(flights.y)
     shapes = np.stack([np.ones_like(p), p - 0.5, 2.0 * ((p - 0.5) ** 2 - 1.0 / 12.0)])
-    found = np.zeros((3 * len(outputs), *y.shape))
-    for c, name in enumerate(outputs):
-        found[3 * c : 3 * c + 3, ..., c] = _share(name) * level[c] * shapes
+    found = np.zeros((3 * len(sizes), *flights.y.shape))
+    for c, size in enumerate(sizes):
+        found[3 * c : 3 * c + 3, ..., c] = size * shapes
     return found
 
 

@@ -29,7 +29,7 @@ from sklearn.linear_model import LogisticRegression
 from eval.diagnosis.blind.files import open_key
 from eval.diagnosis.blind.outcome import Outcome
 from eval.diagnosis.blind.score import calibration_error, mean
-from eval.diagnosis.flights import batch, record_of
+from eval.diagnosis.flights import batch
 from eval.diagnosis.pairs import read_pairs
 from narxcal.support.arrays import BoolArray, FloatArray
 from training.diagnosis.emulator import choose_control, fit_emulators
@@ -261,9 +261,8 @@ def left_out(cases: Sequence[Case]) -> list[dict[str, Any]]:
 
 def weigh_case(case: Path, truth: Mapping[str, Any]) -> dict[str, Any]:
     """Features of one case, and of second effects, with its leader and with each true one first."""
-    data = batch(read_pairs(case / "real", case / "sim"))
-    record = record_of(data)
-    emulator = choose_control(fit_emulators(data.flights), record)
+    record = batch(read_pairs(case / "real", case / "sim"))
+    emulator = choose_control(fit_emulators(record.flights), record)
     evidence = weigh(record, Engines(emulator))
     singles = {one.name: one for one in evidence.singles}
     leader = list(singles)[int(np.argmax(evidence.effects @ evidence.setting.odds.effect))]

@@ -203,7 +203,7 @@ def test_an_fmu_of_other_names_is_refused_with_those_it_has(tmp_path, other, pro
 
 
 def test_a_folder_of_logs_is_that_folder(tmp_path):
-    assert open_simulator(str(tmp_path)) == ("logs", tmp_path)
+    assert open_simulator(str(tmp_path)) == ("logs", tmp_path, None)
 
 
 def test_a_virtual_engine_flies_the_inputs(fly, log_of):
