@@ -62,11 +62,9 @@ class FoundEffects:
 
     @property
     def has_load(self) -> bool:
-        """Whether a load that no channel records is among the effects."""
         return UNLOGGED_SWITCH.id in self.values
 
     def knows(self, name: str) -> bool:
-        """Whether the log of that name was searched for windows of the load."""
         return name in self.searched
 
     def added_to(self, log: Log, name: str | None = None) -> dict[str, FloatArray]:
@@ -175,7 +173,6 @@ class FoundEffects:
         return np.column_stack([outputs[name] for name in self.signals.outputs])
 
     def _bridged(self, said: FloatArray, log: Log) -> FloatArray:
-        """Outputs (time, outputs) without holes, for an effect with memory."""
         for name, column in zip(self.signals.outputs, said.T, strict=True):
             if not np.isfinite(column).any():
                 raise DataError(
@@ -205,7 +202,6 @@ class FoundEffects:
         return self._in_blocks(inside, given, y, log) if inside else 0.0
 
     def _on(self, log: Log, name: str) -> FloatArray:
-        """1 within the windows, by seconds since the log began."""
         since, on = log.time_s - log.time_s[0], np.zeros(len(log))
         for start_s, end_s in self.windows.get(name, ()):
             on[(since >= start_s) & (since < end_s)] = 1.0
@@ -236,7 +232,6 @@ class FoundEffects:
 
 
 def _between(at: FloatArray, times: FloatArray, rows: FloatArray) -> FloatArray:
-    """Columns of `rows` (times, columns) on straight lines at other times."""
     return np.column_stack([np.interp(at, times, column) for column in rows.T])
 
 
@@ -270,7 +265,6 @@ def _found(document: Mapping[str, Any], emulator: GreyBoxEmulator | None) -> Fou
 
 
 def _windows(document: Mapping[str, Any]) -> Windows:
-    """Seconds since the beginning of the log, for every log in which a load was on."""
     found: dict[str, tuple[tuple[float, float], ...]] = {}
     for row in document["effects"]:
         for spell in row.get("windows", ()):
@@ -361,7 +355,6 @@ def read_emulator(folder: Path) -> GreyBoxEmulator:
 
 
 def signals_to_json(signals: Signals) -> dict[str, Any]:
-    """Plain values."""
     return {
         name: value.tolist() if isinstance(value, np.ndarray) else value
         for name, value in asdict(signals).items()

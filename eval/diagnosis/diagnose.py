@@ -108,14 +108,12 @@ class Answer(Shown):
         return pd.DataFrame(rows).set_index("cause")
 
     def plot(self) -> Figure:
-        """Draw the budget as bars: the whole gap, each channel, each phase."""
         figure: Any = plot.gap(self).figure
         drawn: Figure = figure
         return drawn
 
     @property
     def summary(self) -> Summary:
-        """What shells and notebooks show."""
         said = outcome(self.document)
         warnings = self.document["quality"]["warnings"]
         return Summary(said.headline, [*said.lines, *warnings], self.table)

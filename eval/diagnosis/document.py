@@ -160,7 +160,6 @@ def _clipped(share: float, unknown: float) -> float:
 
 
 def _taken(found: ChannelShrink) -> float:
-    """Share of one channel's mean squared gap that is taken off."""
     return 1.0 - (found.after / found.before) ** 2 if found.before > 0.0 else 0.0
 
 
@@ -197,7 +196,6 @@ def _measured(found: Budget, where: Where) -> dict[str, Any]:
 
 
 def cautions(pairs: Sequence[Pair], data: Record) -> list[str]:
-    """What the logs give reason to be careful about."""
     return [*_few(pairs), *_left_out(pairs), *_unknown(pairs), *implausible(data)]
 
 
@@ -226,7 +224,6 @@ def coarse_emulator(evidence: Evidence, *, again: bool) -> list[str]:
 
 
 def rests_on_emulator(values: Values, *, again: bool) -> bool:
-    """Whether what any of the effects does is the emulator's answer."""
     return any(_emulated(name, own, again=again) for name, own in values.items())
 
 
@@ -243,7 +240,6 @@ def _few(pairs: Sequence[Pair]) -> Iterator[str]:
 
 
 def _left_out(pairs: Sequence[Pair]) -> Iterator[str]:
-    """Channels that are not diagnosed, and why."""
     found = dict.fromkeys(item for pair in pairs for item in pair.lone.items())
     return (f"{name} is {why}: it is left out" for name, why in found)
 

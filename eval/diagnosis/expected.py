@@ -113,7 +113,6 @@ def _theta(name: str, given: Mapping[str, float], signals: Signals) -> FloatArra
 
 
 def shift_of(values: Values, signals: Signals) -> FloatArray:
-    """What the claimed load shifts each output by, (outputs,)."""
     sizes = values[UNLOGGED_SWITCH.id]
     return np.array([sizes.get(f"on_{name}", 0.0) for name in signals.outputs])
 
@@ -126,7 +125,6 @@ def with_effects(values: Values, flights: Flights, emulator: Emulator | None) ->
 
 
 def held_out(values: Values, data: Record, emulator: Emulator | None) -> HeldOut:
-    """Add the effects to the simulator of flights that took no part in finding them."""
     after = with_effects(values, data.flights, emulator)
     share = float(pooled_share(*squares(data, after)))
     return HeldOut(data, share, channel_shrink(data, after), after)
@@ -150,7 +148,6 @@ def squares(
 
 
 def _summed(values: FloatArray, unit: IntArray | None) -> FloatArray:
-    """Sums of values (flights, time) per flight, or per unit."""
     if unit is None:
         return np.asarray(values.sum(axis=1))
     return np.bincount(unit[unit >= 0], values[unit >= 0]).astype(np.float64)
@@ -178,7 +175,6 @@ def channel_shrink(data: Record, after: FloatArray) -> dict[str, ChannelShrink]:
 def time_shrink(
     data: Record, after: FloatArray, events: Sequence[Sequence[Event]]
 ) -> dict[str, TimeShrink]:
-    """Errors of Ti and Tt before and after, over the events that could be read both times."""
     first = time_errors(data, data.flights.y, events)
     then = time_errors(data, after, events)
     return {name: _both(first[name], then[name]) for name in first}
@@ -209,7 +205,6 @@ class Sums(NamedTuple):
     samples: FloatArray
 
     def of(self, rows: Sequence[int]) -> Sums:
-        """Those of some of the flights."""
         return Sums(*(each[list(rows)] for each in self))
 
 
@@ -295,7 +290,6 @@ def _by_change(found: Sums, other: Other) -> float:
 
 
 def _part(alike: FloatArray, by_change: FloatArray) -> float:
-    """Part of the second prediction in the mixture of least squared errors (sets,)."""
     apart = by_change - alike
     return float(np.clip(-(alike @ apart) / max(float(apart @ apart), _NONE), 0.0, 1.0))
 
@@ -333,7 +327,6 @@ class TimeErrors:
     events: tuple[EventTimes, ...]
 
     def shared_with(self, other: TimeErrors) -> TimeErrors:
-        """Those of the events that could be read in `other` as well."""
         there = {(event.flight, event.start) for event in other.events}
         return TimeErrors(tuple(e for e in self.events if (e.flight, e.start) in there))
 
@@ -348,7 +341,6 @@ class TimeErrors:
         return float(np.median(values)) if values else float("nan")
 
     def count(self, direction: str) -> int:
-        """Events that were read."""
         return sum(event.direction == direction for event in self.events)
 
 

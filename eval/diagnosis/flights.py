@@ -67,7 +67,6 @@ def batch(pairs: Sequence[Pair], rate_hz: float = RATE_HZ, keep_hz: float = KEEP
 
 
 def block_size(dt_s: float, rate_hz: float = RATE_HZ, keep_hz: float = KEEP_HZ) -> int:
-    """Samples in a block."""
     return 1 if 1.0 / dt_s <= keep_hz else max(1, round(1.0 / (dt_s * rate_hz)))
 
 
@@ -104,7 +103,6 @@ def _signals(
 def _fast_energy(
     pairs: Sequence[Pair], outputs: Sequence[str], means: Sequence[FloatArray]
 ) -> FloatArray:
-    """What block means take from the mean squared gap of each output, (outputs,)."""
     whole = np.concatenate([[p.real[n] - p.sim[n] for n in outputs] for p in pairs], axis=1)
     slow = np.concatenate(means)
     lost = np.nanmean(whole**2, axis=1) - np.nanmean(slow**2, axis=0)
@@ -112,7 +110,6 @@ def _fast_energy(
 
 
 def _noise(gaps: Sequence[FloatArray]) -> FloatArray:
-    """Standard deviation (outputs,) of the part of the gaps that changes from sample to sample."""
     return np.array(
         [float(np.median([_fast_part(gap[:, k]) for gap in gaps])) for k in range(gaps[0].shape[1])]
     )
@@ -268,7 +265,6 @@ def _units(flights: Flights) -> IntArray:
 
 
 def _groups(flights: Flights) -> tuple[int, ...]:
-    """Which logs are of one flight, and so of several engines: those flown alike."""
     signals = flights.signals
     if "ALT_ft" not in signals.active:
         return tuple(range(len(flights.u)))
@@ -280,7 +276,6 @@ def _groups(flights: Flights) -> tuple[int, ...]:
 
 
 def phases_of(data: Record) -> Phases:
-    """What moves in every sample: `push_transit` and the like."""
     names = tuple("steady" if d == "steady" else f"{d}_{p}" for d, p in MOVES)
     return Phases(names, sort_samples(data, events_of(data)).move)
 
@@ -341,7 +336,6 @@ def together(first: Flights, others: Flights) -> Flights:
 
 
 def _lengthened(rows: FloatArray, longest: int) -> FloatArray:
-    """Rows (flights, time, ...) filled up with their last."""
     rest = np.repeat(rows[:, -1:], longest - rows.shape[1], axis=1)
     return np.concatenate([rows, rest], axis=1)
 

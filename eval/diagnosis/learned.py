@@ -105,7 +105,6 @@ def _half(prepared: dict[str, Log], recorded: dict[str, Log], number: int) -> Pl
 
 
 def _pairs(bundle: Bundle, plan: Plan) -> list[Pair]:
-    """What a model says of the flights that it is without."""
     simulate = simulate_by(bundle.calibration)
     found = []
     for part in plan.test:
@@ -128,7 +127,6 @@ def learn_left_out(run: Path, *, trust: bool = False, jobs: int = -1) -> Discrep
 
 
 def learned_from(pairs: Sequence[Pair]) -> Discrepancy:
-    """What a simulator gets wrong in flights that it was not identified on."""
     record = batch(pairs)
     emulator = choose_control(fit_emulators(record.flights), record)
     return learn(record, Dictionary(hypotheses(record.flights.signals), record.flights, emulator))

@@ -125,7 +125,6 @@ def largest_event(view: View, of: FloatArray) -> tuple[int, Event] | None:
 
 
 def worst_flight(view: View) -> int:
-    """Number of the flight with the largest mean energy of the gap."""
     energy, lengths = _energy(view, view.data.difference), view.data.flights.lengths
     return int(np.argmax([each[:n].sum() / n for each, n in zip(energy, lengths, strict=True)]))
 
@@ -171,7 +170,6 @@ def effect_picture(evidence: Evidence, row: Row) -> Picture | None:
 
 
 def _event(view: View, f: int, event: Event) -> tuple[Figure, str]:
-    """An event drawn large, and which one it is."""
     dt_s, end = view.data.flights.signals.dt_s, int(view.data.flights.lengths[f])
     first = max(0, event.start - round(_LEAD_S / dt_s))
     last = max(event.stop + round(_TAIL_S / dt_s), first + round(_LEAST_S / dt_s))

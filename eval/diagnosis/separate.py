@@ -59,7 +59,6 @@ class Hypothesis:
 
     @property
     def name(self) -> str:
-        """That of the effect."""
         return "no effect" if self.effect is None else self.effect.name
 
 
@@ -182,7 +181,6 @@ def simulated(open_: Undecided, inputs: Sequence[FloatArray]) -> Flights:
 
 
 def _inside(open_: Undecided, u: FloatArray) -> bool:
-    """Whether conditions (time, inputs) lie in what the simulator flew."""
     settled = open_.emulator.settled
     at = u[:, list(settled.conditions)]
     return bool(((at >= settled.low) & (at <= settled.high)).all())
@@ -263,7 +261,6 @@ class Columns:
 def _response(
     one: Hypothesis, theta: FloatArray, flights: Flights, emulator: GreyBoxEmulator
 ) -> FloatArray:
-    """What a hypothesis changes (moves, time, outputs); no effect changes nothing."""
     if one.effect is None:
         return np.zeros_like(flights.y)
     return response(one.effect, theta, flights, emulator)

@@ -79,7 +79,6 @@ class Simulator(NamedTuple):
 
     @property
     def again(self) -> Simulate | None:
-        """The function, None of a folder of logs."""
         return None if isinstance(self.how, Path) else self.how
 
 
@@ -156,7 +155,6 @@ def simulate_by(calibration: Calibration) -> Simulate:
 
 
 def _fmu(path: Path) -> Simulate:
-    """Co-simulation of an FMU whose variables bear the names of channels."""
     description = read_description(path)
     names = {
         kind: [v.name for v in description.modelVariables if v.causality == kind]

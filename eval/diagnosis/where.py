@@ -137,7 +137,6 @@ def locate(data: Record, explained: FloatArray | None = None) -> Where:
 
 
 def _explained(data: Record, bins: Bins, change: FloatArray | None) -> FloatArray | None:
-    """Share (outputs, moves) of the energy of a `change` of the outputs; None where it is none."""
     if change is None:
         return None
     energy = change**2 / data.variance

@@ -80,7 +80,6 @@ def parameter_words(name: str) -> str:
 
 
 def is_nil(size: Size) -> bool:
-    """Whether a size may as well be nothing: its interval holds 0."""
     low, high = size["low"], size["high"]
     return low is not None and high is not None and low <= 0.0 <= high
 
@@ -143,7 +142,6 @@ def _plain(value: float, digits: int) -> str:
 
 
 def _printed(name: str) -> str:
-    """Unit as it is printed: `degC` -> `°C`."""
     return "" if name == "-" else name.replace("degC", "°C").replace("deg", "°")
 
 
@@ -197,12 +195,10 @@ def outcome(document: Row) -> Outcome:
 
 
 def is_sure(document: Row, names: Collection[str]) -> bool:
-    """Whether each of these effects is as probable as an interval is."""
     return all(row["probability"] >= LEVEL for row in document["effects"] if name_of(row) in names)
 
 
 def _events(shrink: Row) -> Iterator[str]:
-    """Errors of the response times before and after, where events could be read."""
     for name, times in shrink["times"].items():
         if times["events"]:
             text = ", ".join(
@@ -227,10 +223,8 @@ def next_flights(document: Row) -> list[tuple[str, str]]:
 
 
 def cause_words(name: str) -> str:
-    """A cause of the budget in words."""
     return NAMED[name] if name in NAMED else in_words(name)
 
 
 def percent(share: float) -> str:
-    """A share in whole percent."""
     return f"{100.0 * share:z.0f} %"

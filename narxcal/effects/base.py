@@ -58,7 +58,6 @@ class Pace(NamedTuple):
 
 
 def as_simulated(batch: int) -> Pace:
-    """The simulator's own pace."""
     one, none = np.ones(batch), np.zeros(batch)
     return Pace(one, one, one, one, none, one, none, one, one, none, one, one, UNLIMITED * one)
 
@@ -141,7 +140,6 @@ class Signals:
         return _column(self.outputs, name, "output")
 
     def width(self, output: str) -> float:
-        """Range of an output in the simulator's logs, in its unit."""
         column = self.y(output)
         return float(self.high[column] - self.low[column])
 
@@ -194,7 +192,6 @@ Terms = tuple[tuple[str, str], ...]
 
 
 def within_range(signals: Signals, shape: str, output: str) -> Parameter:
-    """The amplitude of a shape, within the range of the output that it moves."""
     width = signals.width(output)
     return Parameter(f"{shape}_{output}", unit(output), -width, width, 0.0, linear=True)
 
@@ -261,7 +258,6 @@ class Effect:
         return replace(self, channel=channel)
 
     def parameters(self, signals: Signals) -> tuple[Parameter, ...]:
-        """Parameters for runs of these signals."""
         own = self.fixed if self.bounds is None else self.bounds(signals, self.channel or "")
         sizes = [self.amplitude(signals, *term) for term in self._terms(signals)]
         taken = [self.taken] if self.taken is not None and signals.governed else []
@@ -305,7 +301,6 @@ class Effect:
         return found
 
     def loads(self, theta: FloatArray, signals: Signals) -> bool:
-        """Whether any of `theta` (batch, parameters) takes power from the core."""
         return self.takes_power and signals.governed and bool((theta[:, -1] != 0.0).any())
 
     def load(self, run: Run, y: FloatArray) -> FloatArray:

@@ -85,12 +85,10 @@ class Case:
 
     @property
     def family(self) -> str:
-        """Kind of engine."""
         return self.outcome.family
 
 
 def read_case(file: Path) -> Case:
-    """One case from what `weigh` left."""
     found = json.loads(file.read_text(encoding="utf-8"))
     outcome = Outcome(file.stem, found["truth"], {})
     first = Choice(*_arrays(found), 2, _right(outcome, found["names"]), _weight(outcome))
@@ -194,7 +192,6 @@ def logits(cases: Sequence[Case]) -> Odds:
 
 
 def _each_family(cases: Sequence[Case]) -> Iterator[tuple[list[Case], list[Case]]]:
-    """Cases of each family, and those of the others; nothing of a single family."""
     for family in dict.fromkeys(one.family for one in cases):
         own = [one for one in cases if one.family == family]
         if len(own) < len(cases):

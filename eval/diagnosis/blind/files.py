@@ -18,10 +18,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
 from eval.diagnosis.blind.truth import Channels
 from narxcal.support.errors import ConfigError, DataError
+from narxcal.support.files import log_csv
 
 MARK: Final = b"narxcal.blind_key/1\n"
 _ROUNDS = 200_000
@@ -84,11 +83,7 @@ def write_log(file: Path, channels: Channels) -> str:
     Blank where there is no reading. The zip bears no time, so that the same numbers are the same
     bytes.
     """
-    # Adding 0 turns a minus zero into zero.
-    table = np.column_stack(list(channels.values())) + 0.0
-    form = ",".join(["%.8g"] * len(channels)) + "\n"
-    rows = "".join([form % tuple(row) for row in table.tolist()]).replace("nan", "")
-    content = gzip.compress((",".join(channels) + "\n" + rows).encode(), 6, mtime=0)
+    content = gzip.compress(log_csv(channels, 8).encode(), 6, mtime=0)
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_bytes(content)
     return hashlib.sha256(content).hexdigest()

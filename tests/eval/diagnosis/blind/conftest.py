@@ -85,6 +85,7 @@ def made(quick, made_once, tmp_path):
 
 
 def truth_row(kind="single", effects=("spool_lag",), gap_share=0.2, like=(), budget=None):
+    channels = {"N1_pct": 0.8, "EGT_C": 0.2}
     families = {"spool_lag": "transit", "sensor_lag:EGT_C": "channel lag"}
     rows = []
     for name in effects:
@@ -99,8 +100,7 @@ def truth_row(kind="single", effects=("spool_lag",), gap_share=0.2, like=(), bud
         "outside": outside,
         "base": {"differs": True},
         "gap_share": gap_share,
-        "where": {"N1_pct|push|transit": 0.8, "EGT_C|steady|steady": 0.2},
-        **({} if budget is None else {"budget": budget}),
+        "budget": budget or {n: {"share": 0.5, "channels": channels} for n in effects},
     }
 
 
