@@ -31,7 +31,7 @@ from narxcal.effects.base import Signals
 from narxcal.effects.running import Flights, Setting, acts_inside, arrived, read
 from narxcal.effects.steady import UNLOGGED, UNLOGGED_SWITCH
 from narxcal.support.arrays import FloatArray, block_means, bridge_gaps
-from narxcal.support.errors import ConfigError, DataError, ModelError
+from narxcal.support.errors import ConfigError, DataError, ModelError, NarxcalError
 from narxcal.two_spool import TwoSpool
 from training.diagnosis.emulator import GreyBoxEmulator, SettledModel
 
@@ -275,19 +275,21 @@ def _windows(document: Mapping[str, Any]) -> Windows:
 
 def gap_document(file: Path) -> Mapping[str, Any]:
     """Read a `gap.json`; raises `ConfigError` for a file that is none, or of another version."""
+    hint = "Name the gap.json that narxcal diagnose wrote, or diagnose again"
+    return read_document(file, GAP_SCHEMA, ConfigError, hint)
+
+
+def read_document(file: Path, schema: str, error: type[NarxcalError], hint: str) -> dict[str, Any]:
+    """Read a JSON document of a schema; raises `error` with a `hint` for a file that is none."""
     try:
         document = json.loads(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(f"cannot be read: {error.strerror}", file=file) from None
-    except (ValueError, RecursionError) as error:
-        raise ConfigError(f"not JSON: {error}", file=file) from None
+    except OSError as problem:
+        raise error(f"cannot be read: {problem.strerror}", file=file, hint=hint) from None
+    except (ValueError, RecursionError) as problem:
+        raise error(f"not JSON: {problem}", file=file, hint=hint) from None
     found = document.get("schema") if isinstance(document, dict) else None
-    if found != GAP_SCHEMA:
-        raise ConfigError(
-            f"expected schema '{GAP_SCHEMA}', found {found!r}",
-            file=file,
-            hint="Name the gap.json that narxcal diagnose wrote, or diagnose again",
-        )
+    if found != schema:
+        raise error(f"expected schema '{schema}', found {found!r}", file=file, hint=hint)
     return dict(document)
 
 
@@ -324,7 +326,7 @@ def write_emulator(folder: Path, emulator: GreyBoxEmulator) -> None:
 
 def read_emulator(folder: Path) -> GreyBoxEmulator:
     """Read what `write_emulator` wrote; raises `ModelError` where it is missing or altered."""
-    document = _document(folder / DOCUMENT)
+    document = read_document(folder / DOCUMENT, SCHEMA, ModelError, _AGAIN)
     arrays = _arrays(folder / WEIGHTS, str(document.get("sha256")))
     try:
         settled = SettledModel(
@@ -377,17 +379,6 @@ def signals_from_json(stored: Mapping[str, Any]) -> Signals:
 
 def _range(low: float, high: float) -> tuple[float, float]:
     return float(low), float(high)
-
-
-def _document(file: Path) -> dict[str, Any]:
-    try:
-        document = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise ModelError(f"cannot be read: {error}", file=file, hint=_AGAIN) from None
-    found = document.get("schema") if isinstance(document, dict) else None
-    if found != SCHEMA:
-        raise ModelError(f"expected schema '{SCHEMA}', found {found!r}", file=file, hint=_AGAIN)
-    return dict(document)
 
 
 def _arrays(file: Path, sha256: str) -> dict[str, FloatArray]:

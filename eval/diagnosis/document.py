@@ -182,11 +182,12 @@ def _measured(found: Budget, where: Where) -> dict[str, Any]:
         "Ti_Tt": {
             name: {
                 direction: {
-                    "events": times.count(direction),
-                    "Ti_s": times.median("Ti_s", direction),
-                    "Tt_s": times.median("Tt_s", direction),
+                    "events": len(some),
+                    "Ti_s": float(some["Ti_s"].median()),
+                    "Tt_s": float(some["Tt_s"].median()),
                 }
                 for direction in ("push", "pull")
+                for some in [times[times["direction"] == direction]]
             }
             for name, times in where.times.items()
         },

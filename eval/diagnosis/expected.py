@@ -18,9 +18,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+import pandas as pd
 from scipy.stats import t
 
 from data_prep.events import PUSH, Event
@@ -180,10 +181,10 @@ def time_shrink(
     return {name: _both(first[name], then[name]) for name in first}
 
 
-def _both(before: TimeErrors, after: TimeErrors) -> TimeShrink:
-    first, then = before.shared_with(after), after.shared_with(before)
-    times = [found.mean_abs(name) for name in ("Ti_s", "Tt_s") for found in (first, then)]
-    return TimeShrink(len(first.events), *times)
+def _both(before: pd.DataFrame, after: pd.DataFrame) -> TimeShrink:
+    shared = before.merge(after, on=["flight", "start"], suffixes=("", "_after"))
+    names = ("Ti_s", "Ti_s_after", "Tt_s", "Tt_s_after")
+    return TimeShrink(len(shared), *(float(shared[name].abs().mean()) for name in names))
 
 
 _AT_ONCE = 2  # flights that are predicted by the others
@@ -309,49 +310,19 @@ _LEAST = 0.08  # of the channel's range: the smallest response that is read
 _BEFORE_S, _AFTER_S = 1.0, 8.0
 
 
-@dataclass(frozen=True)
-class EventTimes:
-    """One event on one channel: what the model has too little (flight less model), in seconds."""
-
-    flight: int
-    start: int
-    direction: str
-    Ti_s: float
-    Tt_s: float
-
-
-@dataclass(frozen=True)
-class TimeErrors:
-    """All events of one channel that could be read on both sides."""
-
-    events: tuple[EventTimes, ...]
-
-    def shared_with(self, other: TimeErrors) -> TimeErrors:
-        there = {(event.flight, event.start) for event in other.events}
-        return TimeErrors(tuple(e for e in self.events if (e.flight, e.start) in there))
-
-    def mean_abs(self, name: str) -> float:
-        """Mean absolute error of `Ti_s` or `Tt_s`; NaN without an event."""
-        values = [abs(getattr(event, name)) for event in self.events]
-        return float(np.mean(values)) if values else float("nan")
-
-    def median(self, name: str, direction: str) -> float:
-        """Median error of `Ti_s` or `Tt_s` over pushes or pulls; NaN without one."""
-        values = [getattr(e, name) for e in self.events if e.direction == direction]
-        return float(np.median(values)) if values else float("nan")
-
-    def count(self, direction: str) -> int:
-        return sum(event.direction == direction for event in self.events)
+_EVENT: Final = {"flight": int, "start": int, "direction": str, "Ti_s": float, "Tt_s": float}
 
 
 def time_errors(
     data: Record, model: FloatArray, events: Sequence[Sequence[Event]]
-) -> Mapping[str, TimeErrors]:
-    """Read every event on every output of `data.real` and of `model` (flights, time, outputs).
+) -> dict[str, pd.DataFrame]:
+    """What `model` (flights, time, outputs) has too little of Ti and Tt, in seconds, by output.
 
-    Events that end before the speeds settle, responses below 8 % of the channel's range, and
-    those that either side does not settle on are left out. A response is followed for up to 8 s
-    after its event, as far as the lever rests: the flight may be slower than the model.
+    A row is an event that could be read both on `data.real` and on the model: its number of the
+    flight, first sample and direction, and flight less model. Events that end before the speeds
+    settle, responses below 8 % of the channel's range, and those that either side does not settle
+    on are left out. A response is followed for up to 8 s after its event, as far as the lever
+    rests: the flight may be slower than the model.
     """
     dt_s, lengths = data.flights.signals.dt_s, data.flights.lengths
     longer = [
@@ -362,20 +333,17 @@ def time_errors(
         )
     ]
     return {
-        name: TimeErrors(
-            tuple(
-                found
-                for f, event in longer
-                if (found := _read(data, model, (f, k), event)) is not None
-            )
-        )
+        name: pd.DataFrame(
+            filter(None, (_read(data, model, (f, k), event) for f, event in longer)),
+            columns=list(_EVENT),
+        ).astype(_EVENT)
         for k, name in enumerate(data.flights.signals.outputs)
     }
 
 
 def _read(
     data: Record, model: FloatArray, place: tuple[int, int], event: Event
-) -> EventTimes | None:
+) -> tuple[int, int, str, float, float] | None:
     f, k = place
     if event.interrupted or not event.settled:
         return None
@@ -389,8 +357,7 @@ def _read(
     if not _comparable(flight, sim):
         return None
     direction = "push" if event.label == PUSH else "pull"
-    errors = (flight.Ti_s - sim.Ti_s, flight.Tt_s - sim.Tt_s)
-    return EventTimes(f, event.start, direction, *errors)
+    return f, event.start, direction, flight.Ti_s - sim.Ti_s, flight.Tt_s - sim.Tt_s
 
 
 def _comparable(flight: Transient, model: Transient) -> bool:

@@ -50,7 +50,9 @@ def batch(pairs: Sequence[Pair], rate_hz: float = RATE_HZ, keep_hz: float = KEEP
     u = [_blocks(pair.inputs, inputs, size) for pair in pairs]
     y = [_blocks(pair.sim, outputs, size) for pair in pairs]
     real = [_blocks(pair.real, outputs, size) for pair in pairs]
-    signals = _signals(pairs[0], (u, y), pairs[0].dt_s * size)
+    none = np.zeros(len(outputs))
+    signals = Signals(inputs, outputs, pairs[0].dt_s * size, pairs[0].driver, none, none)
+    signals = _in_ranges(signals, np.concatenate(u), np.concatenate(y))
     longest = max(len(each) for each in u)
     flights = Flights(
         signals,
@@ -80,23 +82,16 @@ def _padded(rows: FloatArray, length: int, filling: float | None = None) -> Floa
     return np.concatenate([rows, rest])
 
 
-def _signals(
-    pair: Pair, arrays: tuple[Sequence[FloatArray], Sequence[FloatArray]], dt_s: float
-) -> Signals:
-    u, y = (np.concatenate(part) for part in arrays)
-    names = tuple(pair.inputs)
+def _in_ranges(signals: Signals, u: FloatArray, y: FloatArray) -> Signals:
+    """The signals with the ranges of inputs and outputs, (samples, ...)."""
     size = np.maximum(np.abs(u).max(axis=0), 1e-9)
-    active = tuple(np.array(names)[np.ptp(u, axis=0) > _STILL * size].tolist())
-    driver = u[:, names.index(pair.driver)]
-    return Signals(
-        names,
-        tuple(pair.sim),
-        dt_s,
-        pair.driver,
-        y.min(axis=0),
-        y.max(axis=0),
-        (float(driver.min()), float(driver.max())),
-        active,
+    lever = u[:, signals.u(signals.driver)]
+    return replace(
+        signals,
+        low=y.min(axis=0),
+        high=y.max(axis=0),
+        lever=(float(lever.min()), float(lever.max())),
+        active=tuple(np.array(signals.inputs)[np.ptp(u, axis=0) > _STILL * size].tolist()),
     )
 
 
@@ -322,16 +317,7 @@ def together(first: Flights, others: Flights) -> Flights:
         np.concatenate([_lengthened(part, longest) for part in parts])
         for parts in ((first.u, others.u), (first.y, others.y))
     )
-    mine = first.signals
-    lever = u[..., mine.u(mine.driver)]
-    moving = np.ptp(u, axis=(0, 1)) > _STILL * np.maximum(np.abs(u).max(axis=(0, 1)), _STILL)
-    signals = replace(
-        mine,
-        low=y.min(axis=(0, 1)),
-        high=y.max(axis=(0, 1)),
-        lever=(float(lever.min()), float(lever.max())),
-        active=tuple(np.array(mine.inputs)[moving].tolist()),
-    )
+    signals = _in_ranges(first.signals, *(each.reshape(-1, each.shape[2]) for each in (u, y)))
     return Flights(signals, u, y, np.concatenate([first.lengths, others.lengths]))
 
 

@@ -26,7 +26,8 @@ from eval.diagnosis.words import (
 from eval.report import style
 from eval.report.page import RunHeader, render
 from eval.report.style import Picture, number
-from eval.report.tables import Cell, Table, figure
+from eval.report.tables import Cell, Table, plain
+from eval.report.tables import row as line
 from narxcal.channels import symbol
 from narxcal.effects.library import effect, name_of
 from narxcal.support.interrupt import is_interrupt
@@ -47,15 +48,13 @@ class Drawn(NamedTuple):
 def budget_table(document: Row) -> Table:
     """One row per cause: share of the whole gap with its interval, and how probable."""
     rows = tuple(
-        (
-            Cell(cause_words(row["cause"]), "head"),
-            Cell(percent(row["share"]), number=True),
-            Cell(f"{percent(row['low'])} to {percent(row['high'])}", number=True),
-            *(Cell(percent(value), number=True) for value in row["channels"].values()),
-            Cell("" if row["probability"] is None else percent(row["probability"]), number=True),
-            Cell(" or ".join(row["credible_set"][1:])),
+        line(
+            cause,
+            *map(plain, (*numbers, *map(percent, row["channels"].values()), probability)),
+            " or ".join(row["credible_set"][1:]),
         )
         for row in document["budget"]
+        for cause, *numbers, probability in [_cause(row)]
     )
     channels = document["budget"][0]["channels"] if document["budget"] else ()
     head = (
@@ -63,6 +62,13 @@ def budget_table(document: Row) -> Table:
         "or as well",
     )  # fmt: skip
     return Table("Shares of the energy of the whole gap; they add up to 100 %", head, rows)
+
+
+def _cause(row: Row) -> list[str]:
+    """Words of a cause, its share, interval and probability."""
+    ends = f"{percent(row['low'])} to {percent(row['high'])}"
+    chance = "" if row["probability"] is None else percent(row["probability"])
+    return [cause_words(row["cause"]), percent(row["share"]), ends, chance]
 
 
 def sizes_table(document: Row) -> Table:
@@ -75,29 +81,16 @@ def sizes_table(document: Row) -> Table:
         first, size = next(iter(row["parameters"].items()))
         least = row["nameable"]
         unit = "" if size["unit"] == "-" else f" {size['unit']}"
-        rows.append(
-            (
-                Cell(name_of(row), "head"),
-                Cell(percent(row["probability"]), number=True),
-                Cell(f"{parameter_words(first)} {size_words(size)}"),
-                Cell("" if least is None else f"{number(least)}{unit}", number=True),
-            )
-        )
+        words = f"{parameter_words(first)} {size_words(size)}"
+        smallest = "" if least is None else f"{number(least)}{unit}"
+        rows.append(line(name_of(row), plain(percent(row["probability"])), words, plain(smallest)))
     head = ("effect", "probability", "if it acts", "least size that could be named")
     return Table("Effects that are not named", head, tuple(rows))
 
 
 def console_tables(document: Row) -> Iterator[tuple[str, Sequence[str], list[list[str]]]]:
     """The same tables as text, narrow enough for a terminal."""
-    rows = [
-        [
-            cause_words(row["cause"]).partition(" (")[0],
-            percent(row["share"]),
-            f"{percent(row['low'])} to {percent(row['high'])}",
-            "" if row["probability"] is None else percent(row["probability"]),
-        ]
-        for row in document["budget"]
-    ]
+    rows = [[c.partition(" (")[0], *rest] for c, *rest in map(_cause, document["budget"])]
     yield "Where the gap's energy comes from", ("cause", "share", "interval", "probability"), rows
     table = sizes_table(document)
     short = [[cell.text for cell in row] for row in table.rows[:_SHOWN]]
@@ -108,7 +101,7 @@ def phase_table(document: Row) -> Table:
     """Channel against direction and phase; no rows where no part of the gap is above the noise."""
     found = {(r["channel"], r["direction"], r["phase"]): r for r in document["where"]}
     rows = [
-        (Cell(symbol(channel), "head"), *(_bin(found.get((channel, *move))) for move in MOVES))
+        line(symbol(channel), *(_bin(found.get((channel, *move))) for move in MOVES))
         for channel in _channels(document)
     ]
     head = ("channel", "steady", *(" ".join(move) for move in MOVES[1:]))
@@ -136,15 +129,10 @@ def regime_table(document: Row) -> Table:
                 cells = shares.setdefault(f"{regime} {level}", {})
                 cells[row["channel"]] = cells.get(row["channel"], 0.0) + part * row["share"]
     channels = _channels(document) if shares else []
+    parts = {name: [each.get(name, 0.0) for each in shares.values()] for name in channels}
     rows = [
-        (
-            Cell(symbol(channel), "head"),
-            *(
-                Cell(percent(each.get(channel, 0.0)), number=True, level=each.get(channel, 0.0))
-                for each in shares.values()
-            ),
-        )
-        for channel in channels
+        line(symbol(name), *(Cell(percent(part), number=True, level=part) for part in own))
+        for name, own in parts.items()
     ]
     caption = (
         "The same energy by regime; the levels of each add up to the whole. Altitude low is below "
@@ -162,10 +150,7 @@ def _channels(document: Row) -> list[str]:
 def shrink_table(document: Row) -> Table:
     """RMS of the gap per channel before and after the named effects are added, and the noise."""
     rows = tuple(
-        (
-            Cell(style.with_unit(name), "head"),
-            *(figure(one[k]) for k in ("before", "after", "floor")),
-        )
+        line(style.with_unit(name), *(one[k] for k in ("before", "after", "floor")))
         for name, one in document["shrink"]["channels"].items()
     )
     caption = f"RMS of recorded less simulated, on {document['shrink']['on']}"

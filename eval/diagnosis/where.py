@@ -14,10 +14,11 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from scipy.signal import csd, welch
 
 from data_prep.events import Event
-from eval.diagnosis.expected import TimeErrors, time_errors
+from eval.diagnosis.expected import time_errors
 from eval.diagnosis.flights import MOVES, Bins, events_of, sort_samples
 from narxcal.support.arrays import FloatArray, bridge_gaps
 from training.diagnosis.budget import Interval
@@ -103,7 +104,7 @@ class Where:
     excess: Mapping[str, float]
     theil: Mapping[str, Theil]
     bands: Mapping[str, tuple[Band, ...]]
-    times: Mapping[str, TimeErrors]
+    times: Mapping[str, pd.DataFrame]
     side: Sides
     events: tuple[tuple[Event, ...], ...]
     regimes: Mapping[str, Mapping[str, Interval]] = field(default_factory=dict)

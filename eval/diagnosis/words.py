@@ -79,22 +79,11 @@ def parameter_words(name: str) -> str:
     return _MEANINGS.get(name, name)
 
 
-def is_nil(size: Size) -> bool:
-    low, high = size["low"], size["high"]
-    return low is not None and high is not None and low <= 0.0 <= high
-
-
-def sizes_words(row: Mapping[str, Any]) -> str:
-    """Every parameter of an effect with its interval: `tau_s 1.80 s (1.62 to 1.98); ...`."""
-    return "; ".join(
-        f"{parameter_words(name)} {size_words(size)}" for name, size in row["parameters"].items()
-    )
-
-
 def surest_words(row: Mapping[str, Any]) -> str:
-    """The same, but of sizes that may as well be nothing only their names.
+    """Every parameter of an effect with its interval: `tau_s 1.80 s (1.62 to 1.98); ...`.
 
-    A size at the very value at which it does nothing is left out.
+    Of sizes that may as well be nothing, their interval holding 0, only their names, unless all
+    are such. A size at the very value at which it does nothing is left out.
     """
     neutral = {one.name: one.neutral for one in effect(name_of(row)).fixed}
     found = {
@@ -102,22 +91,18 @@ def surest_words(row: Mapping[str, Any]) -> str:
         for name, size in row["parameters"].items()
         if size["value"] is None or size["value"] != neutral.get(name)
     } or row["parameters"]
-    nil = [name for name, size in found.items() if is_nil(size)]
-    if len(nil) == len(found):
-        return sizes_words({"parameters": found})
-    texts = [
-        f"{parameter_words(name)} {size_words(size)}"
-        for name, size in found.items()
-        if name not in nil
-    ]
+    nil = [name for name, size in found.items() if _holds_0(size["low"], size["high"])]
+    nil = [] if len(nil) == len(found) else nil
+    texts = [f"{parameter_words(n)} {size_words(found[n])}" for n in found if n not in nil]
     if nil:
-        names = (
-            listed([*map(parameter_words, nil)])
-            if len(nil) <= _MOST_NAMED
-            else f"{len(nil)} others"
-        )
-        texts.append(f"{names} may as well be 0")
+        names = [*map(parameter_words, nil)]
+        words = listed(names) if len(nil) <= _MOST_NAMED else f"{len(nil)} others"
+        texts.append(f"{words} may as well be 0")
     return "; ".join(texts)
+
+
+def _holds_0(low: float | None, high: float | None) -> bool:
+    return low is not None and high is not None and low <= 0.0 <= high
 
 
 def _text(size: Size, value: float | None) -> str:

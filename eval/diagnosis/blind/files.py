@@ -18,6 +18,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
+from eval.diagnosis.applied import read_document
 from eval.diagnosis.blind.truth import Channels
 from narxcal.support.errors import ConfigError, DataError
 from narxcal.support.files import log_csv
@@ -74,6 +75,7 @@ def _mixed(text: bytes, key: bytes) -> bytes:
 SCHEMA: Final = "narxcal.blind/1"
 KEY_SCHEMA: Final = "narxcal.blind_key/1"
 CASES, KEY = "cases.json", "key.json.sealed"
+ANOTHER: Final = "Is this the right folder?"
 FOLDERS: Final = ("sim", "real", "sim_heldout", "real_heldout")
 
 
@@ -94,7 +96,7 @@ def read_cases(folder: Path) -> dict[str, Any]:
 
     Raises `DataError` for a folder that `blind make` did not write, and for a missing log.
     """
-    document = read_json(folder / CASES, SCHEMA)
+    document = read_document(folder / CASES, SCHEMA, DataError, ANOTHER)
     listed = document.get("logs")
     if not isinstance(listed, dict) or not all(isinstance(one, dict) for one in listed.values()):
         raise DataError("'logs' is no table of cases and their logs", file=folder / CASES)
@@ -102,21 +104,6 @@ def read_cases(folder: Path) -> dict[str, Any]:
         for log in logs:
             if not (folder / case / log).is_file():
                 raise DataError("the log is gone", file=folder / case / log)
-    return document
-
-
-def read_json(file: Path, schema: str) -> dict[str, Any]:
-    """Read a document of a schema; raises `DataError`."""
-    try:
-        document = json.loads(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise DataError(
-            f"cannot be read: {error.strerror}", file=file, hint="Is this the right folder?"
-        ) from None
-    except (ValueError, RecursionError):
-        raise DataError("is no JSON", file=file) from None
-    if not isinstance(document, dict) or document.get("schema") != schema:
-        raise DataError(f"is no document of schema {schema}", file=file)
     return document
 
 

@@ -10,7 +10,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from scipy.stats import binomtest
 
-from eval.diagnosis.blind.files import open_key, read_json
+from eval.diagnosis.applied import read_document
+from eval.diagnosis.blind.files import ANOTHER, open_key
 from eval.diagnosis.blind.outcome import Outcome
 from eval.diagnosis.blind.run import ANSWERS, read_answer
 from eval.diagnosis.blind.run import SCHEMA as ANSWERS_SCHEMA
@@ -68,7 +69,7 @@ def score_answers(sets: Sequence[CaseSet], secrets: Sequence[str]) -> dict[str, 
     """
     plans, outcomes = {}, []
     for name, each in zip(_names(sets), sets, strict=True):
-        read_json(each.answers / ANSWERS, ANSWERS_SCHEMA)
+        read_document(each.answers / ANSWERS, ANSWERS_SCHEMA, DataError, ANOTHER)
         key = open_key(each.folder, *secrets)
         plans[name] = dict(key["plan"])
         outcomes += _outcomes(key, each.answers, f"{name}/" if len(sets) > 1 else "")

@@ -333,8 +333,8 @@ def test_a_folder_of_something_else(tmp_path):
     with pytest.raises(DataError, match=r"cases.json: cannot be read: No such file"):
         read_cases(tmp_path)
     (tmp_path / "cases.json").write_text("{", "utf-8")
-    with pytest.raises(DataError, match="is no JSON"):
+    with pytest.raises(DataError, match="not JSON"):
         read_cases(tmp_path)
     (tmp_path / "cases.json").write_text("[]", "utf-8")
-    with pytest.raises(DataError, match=r"is no document of schema narxcal.blind/1"):
+    with pytest.raises(DataError, match=r"expected schema 'narxcal.blind/1', found"):
         read_cases(tmp_path)
