@@ -271,10 +271,3 @@ def test_a_flowmeter_lags_as_any_sensor(flights):
     meter = added(effect("flowmeter_dynamics:FF_kgph"), flights, tau_s=0.9)
     sensor = added(effect("sensor_lag:FF_kgph"), flights, tau_s=0.9)
     np.testing.assert_array_equal(meter, sensor)
-
-
-def test_a_shorter_flight_of_the_same_signals_has_the_same_parameters(flights):
-    short = Flights(flights.signals, flights.u[:1, :20], flights.y[:1, :20], np.array([20]))
-    for name in ("sensor_bias:EGT_C", "heat_soak"):
-        acting = effect(name)
-        assert acting.parameters(short.signals) == acting.parameters(flights.signals)
