@@ -318,7 +318,6 @@ def _evidence(
         data = replace(data, flights=with_load(data.flights, found.on.astype(float)))
     values = found.claimed
     after = with_effects(values, data.flights, stand_in)
-    errors = emulator.errors(data.flights).tolist()
     where = locate(data, after - data.flights.y)
     return Evidence(
         data,
@@ -329,8 +328,13 @@ def _evidence(
         expected(seen(data, after, found.by_others)) if values else _NOTHING,
         channel_shrink(data, after),
         emulator,
-        dict(zip(data.flights.signals.outputs, errors, strict=True)),
+        _errors(emulator, data),
     )
+
+
+def _errors(emulator: GreyBoxEmulator, data: Record) -> dict[str, float]:
+    errors = emulator.errors(data.flights).tolist()
+    return dict(zip(data.flights.signals.outputs, errors, strict=True))
 
 
 def _with_held_out(
@@ -345,9 +349,7 @@ def _with_held_out(
         data = _with_windows(found.claimed, data, stand_in)
     there = held_out(found.claimed, data, stand_in)
     if checked is not None:
-        errors = checked.errors(data.flights).tolist()
-        rmse = dict(zip(data.flights.signals.outputs, errors, strict=True))
-        there = replace(there, emulator_rmse=rmse)
+        there = replace(there, emulator_rmse=_errors(checked, data))
     evidence = replace(
         evidence, held_out=there, times=time_shrink(data, there.after, events_of(data))
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Final
 
@@ -15,6 +15,7 @@ from eval.diagnosis.applied import GAP_SCHEMA, signals_to_json
 from eval.diagnosis.expected import ChannelShrink, HeldOut, TimeShrink, Values
 from eval.diagnosis.pairs import Pair
 from eval.diagnosis.where import Row, Sides, Where
+from eval.judging.outcome import plural
 from narxcal.channels import SPOOLS
 from narxcal.effects.base import unit
 from narxcal.effects.library import effect
@@ -164,8 +165,7 @@ def _taken(found: ChannelShrink) -> float:
 
 
 def _flown(held: HeldOut) -> str:
-    count = len(held.data.names)
-    return f"{count} flight{'' if count == 1 else 's'} that took no part"
+    return f"{plural(len(held.data.names), 'flight')} that took no part"
 
 
 def _measured(found: Budget, where: Where) -> dict[str, Any]:
@@ -197,7 +197,18 @@ def _measured(found: Budget, where: Where) -> dict[str, Any]:
 
 
 def cautions(pairs: Sequence[Pair], data: Record) -> list[str]:
-    return [*_few(pairs), *_left_out(pairs), *_unknown(pairs), *implausible(data)]
+    found = []
+    if len(pairs) < FEW:
+        found.append(f"{plural(len(pairs), 'flight')}: the uncertainty is wider")
+    alone = dict.fromkeys(item for pair in pairs for item in pair.lone.items())
+    found += [f"{name} is {why}: it is left out" for name, why in alone]
+    unknown = 1.0 - float(np.mean([np.isfinite(v).mean() for p in pairs for v in p.real.values()]))
+    if unknown > _UNKNOWN:
+        found.append(f"{100.0 * unknown:.1f} % of the recorded samples are unknown")
+    cut = sum(pair.counts.get("cut at the end", 0) for pair in pairs)
+    if cut:
+        found.append(f"{cut} samples at the ends of flights have no partner and are cut")
+    return [*found, *implausible(data)]
 
 
 def coarse_emulator(evidence: Evidence, *, again: bool) -> list[str]:
@@ -233,25 +244,6 @@ def _emulated(name: str, values: Mapping[str, float], *, again: bool) -> bool:
     kind = effect(name)
     takes = values.get(TAKEN.name, 0.0) > 0.0
     return kind.on_rates or kind.settled or takes or (emulates_input(kind) and not again)
-
-
-def _few(pairs: Sequence[Pair]) -> Iterator[str]:
-    if len(pairs) < FEW:
-        yield f"{len(pairs)} flight{'s' if len(pairs) > 1 else ''}: the uncertainty is wider"
-
-
-def _left_out(pairs: Sequence[Pair]) -> Iterator[str]:
-    found = dict.fromkeys(item for pair in pairs for item in pair.lone.items())
-    return (f"{name} is {why}: it is left out" for name, why in found)
-
-
-def _unknown(pairs: Sequence[Pair]) -> Iterator[str]:
-    unknown = 1.0 - float(np.mean([np.isfinite(v).mean() for p in pairs for v in p.real.values()]))
-    if unknown > _UNKNOWN:
-        yield f"{100.0 * unknown:.1f} % of the recorded samples are unknown"
-    cut = sum(pair.counts.get("cut at the end", 0) for pair in pairs)
-    if cut:
-        yield f"{cut} samples at the ends of flights have no partner and are cut"
 
 
 def implausible(data: Record) -> list[str]:

@@ -63,7 +63,7 @@ def nuisances(record: Record, emulator: Emulator | None = None, build: float = 1
     very engine. What flights of one engine differ by stays.
     """
     level = levels(record.flights)
-    steady = steady_maps(record.flights, _scatter(record.flights))
+    steady = steady_maps(record.flights, _shares(record.flights) * level)
     offsets = _offsets(record.flights)
     starts = _starts(record, level)
     small = _small(record.flights, emulator)
@@ -83,13 +83,13 @@ def build_columns(flights: Flights, emulator: Emulator | None) -> list[tuple[str
 
     Steady maps have no name, small dynamics that of the effect which they are a small size of.
     """
-    steady = steady_maps(flights, _scatter(flights))
+    steady = steady_maps(flights, _shares(flights) * levels(flights))
     return [*(("", each) for each in steady), *_small(flights, emulator)]
 
 
 def offset_sizes(flights: Flights) -> FloatArray:
     """Standard deviation (outputs,) of the offset of a flight."""
-    return _OF_FLIGHT * _scatter(flights)
+    return np.asarray(_OF_FLIGHT * _shares(flights) * levels(flights))
 
 
 def levels(flights: Flights) -> FloatArray:
@@ -101,13 +101,13 @@ def levels(flights: Flights) -> FloatArray:
 
 def most_of_build(flights: Flights) -> FloatArray:
     """The largest steady difference (outputs,) that builds of one type may have."""
-    return _LIMIT * _scatter(flights)
+    return np.asarray(_LIMIT * _shares(flights) * levels(flights))
 
 
-def _scatter(flights: Flights) -> FloatArray:
-    """Standard deviation (outputs,) of what new engines differ by."""
+def _shares(flights: Flights) -> FloatArray:
+    """Standard deviation (outputs,) of what new engines differ by, as shares of the levels."""
     percent = [_LEVEL_PCT.get(name, _OTHER_PCT) for name in flights.signals.outputs]
-    return np.asarray(np.array(percent) / 100.0 * levels(flights))
+    return np.array(percent) / 100.0
 
 
 def steady_maps(flights: Flights, sizes: FloatArray) -> FloatArray:
