@@ -103,18 +103,6 @@ def test_what_an_effect_says_of_the_pace(name, theta, changed, flights):
     assert paced(name, flights.signals, *theta) == changed
 
 
-def test_where_fuel_drives_a_slow_valve_is_one_lag_of_all_outputs(flights):
-    s = flights.signals
-    signals = replace(s, inputs=("FF_kgph", *s.inputs[1:]), driver="FF_kgph", outputs=SPEEDS)
-    assert [p.name for p in effect("actuator_lag").parameters(signals)] == ["tau_s"]
-    assert paced("actuator_lag", signals, 0.6) == {}
-    y = flights.y[..., :2]
-    run = Run(signals, np.full((len(y), 1), 0.6), flights.u)
-    found = effect("actuator_lag").on_output(run, y)
-    for j in range(2):
-        np.testing.assert_array_equal(found[..., j], lag(y[..., j], np.full(len(y), 0.6), DT))
-
-
 def test_heat_that_metal_takes_is_acceleration_that_the_core_lacks(flights):
     """`loss` %/s where the metal trails by the temperature's whole range; none, none at all."""
     theta = [40.0, 2.0, 0.0, -0.3, 0.1, 6.0]
@@ -139,14 +127,25 @@ def test_metal_follows_the_exhaust_or_what_comes_last(flights):
     assert without.hot == 3
 
 
-@pytest.mark.parametrize(("outside", "lag_s"), [(0.0, 0.0), (1.0, 0.6)])
-def test_outside_the_loop_a_slow_valve_is_one_lag_of_all_outputs(outside, lag_s, flights):
-    theta = np.repeat([[0.6, 2.0, outside]], len(flights.y), axis=0)
-    run = Run(flights.signals, theta, flights.u)
-    found = effect("actuator_lag").on_output(run, flights.y)
-    for j in range(flights.y.shape[-1]):
-        lagged = lag(flights.y[..., j], np.full(len(flights.y), lag_s), DT)
+@pytest.mark.parametrize(
+    ("driver", "theta", "lag_s"),
+    [
+        ("TRA_deg", [0.6, 2.0, 0.0], 0.0),
+        ("TRA_deg", [0.6, 2.0, 1.0], 0.6),
+        ("FF_kgph", [0.6], 0.6),
+    ],
+)
+def test_outside_any_loop_a_slow_valve_is_one_lag_of_all_outputs(driver, theta, lag_s, flights):
+    s = flights.signals
+    s, y = replace(s, inputs=(driver, *s.inputs[1:]), driver=driver, outputs=SPEEDS), flights.y
+    valve = effect("actuator_lag")
+    assert len(valve.parameters(s)) == len(theta)
+    found = valve.on_output(Run(s, np.repeat([theta], len(y), axis=0), flights.u), y[..., :2])
+    for j in range(2):
+        lagged = lag(y[..., j], np.full(len(y), lag_s), DT)
         np.testing.assert_array_equal(found[..., j], lagged)
+    if driver == "FF_kgph":
+        assert paced("actuator_lag", s, 0.6) == {}
 
 
 def test_effects_on_the_pace_add_up(flights):

@@ -1,5 +1,7 @@
 """An engine of first-order lags flown through slams, and logs of it in pairs."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -78,6 +80,7 @@ def nothing(_channels):
     return {}
 
 
+@cache
 def pair_of(seed, effect=nothing, **how):
     sim = flown(seed, **how)
     real = measured(sim, seed, **effect(sim))
