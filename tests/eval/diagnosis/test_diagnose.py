@@ -2,7 +2,6 @@
 
 import json
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,38 +12,8 @@ from eval.diagnosis.diagnose import Request, diagnose_folders, diagnose_pairs
 from eval.diagnosis.expected import expected, seen, unseen
 from eval.diagnosis.pairs import pair_logs
 from narxcal.support.errors import ConfigError, DataError
-from tests.eval.diagnosis.conftest import lagged
+from tests.eval.diagnosis.conftest import NAME, NoEmulator, lagged
 from training.diagnosis.budget import Interval
-
-NAME = "sensor_lag:EGT_C"
-LAG = {"tau_s": Interval(1.0, 0.9, 1.1)}
-
-
-class NoEmulator:
-    """Stands in for the emulator, which effects on sensors do not need."""
-
-    def errors(self, flights):
-        return np.zeros(len(flights.signals.outputs))
-
-
-@pytest.fixture
-def answer(monkeypatch, make_budget):
-    """Makes the core find this, if there is no doubt."""
-    nothing = make_budget("unknown", {})
-
-    def set_to(kind="effects", effects=None):
-        found = make_budget(kind, {NAME: LAG} if effects is None else effects)
-
-        def concluded(_evidence, _phases, doubts=(), refused=""):
-            verdict = replace(nothing.verdict, reason="; ".join(doubts) or refused)
-            return replace(nothing, verdict=verdict) if doubts or refused else found
-
-        monkeypatch.setattr(module, "fit_emulators", lambda _flights: (NoEmulator(),))
-        monkeypatch.setattr(module, "weigh", lambda *_args: None)
-        monkeypatch.setattr(module, "concluded", concluded)
-
-    set_to()
-    return set_to
 
 
 def test_found_effects_are_checked_on_flights_that_took_no_part(answer, pair, probe):
