@@ -35,29 +35,6 @@ LEARNED: Final = "discrepancy.json"  # in a run folder
 _FOLDS: Final = 3  # at most: each is a training
 
 
-def left_out_pairs(bundle: Bundle, jobs: int = -1) -> list[Pair]:
-    """Pair every training flight of a run with what a model of the others says of it.
-
-    Up to three models, each without every third flight; of a single flight each half stands for
-    one. Raises `DataError` where the training logs are not at hand any more.
-    """
-    config, _ = run_config(bundle)
-    base = Path(bundle.record.base)
-    raw = split_logs(read_logs(config.logs.resolve(base), config.logs), config.split).train
-    known = bundle.record.data
-    for log in raw:
-        if known.get(log.source.file, log.source.sha256) != log.source.sha256:
-            raise DataError("is not the file that the run was trained on", file=log.source.file)
-    screening, faults = bundle.record.screening, dict[str, list[Finding]]()
-    for row in () if screening is None else screening.findings:
-        each = Finding.from_row(row)
-        faults.setdefault(each.log, []).append(each)
-    pairs: list[Pair] = []
-    for found in run_plans(_plans(raw, config, faults), config, base, _pairs, jobs):
-        pairs += found
-    return alike(pairs)
-
-
 def _plans(
     raw: Sequence[Log], config: RunConfig, faults: Mapping[str, Sequence[Finding]]
 ) -> list[Plan]:
@@ -113,13 +90,26 @@ def _pairs(bundle: Bundle, plan: Plan) -> list[Pair]:
     return found
 
 
-def learn_left_out(run: Path, *, trust: bool = False, jobs: int = -1) -> Discrepancy:
+def learn_left_out(run: Path, *, trust: bool = False) -> Discrepancy:
     """Learn from a run's own training flights by models without them.
 
-    Of a single flight halves stand for flights, and count as one. Raises `DataError` where the
-    training logs are not at hand, and as the training.
+    Up to three models, each without every third flight; of a single flight halves stand for
+    flights, and count as one. Raises `DataError` where the training logs are not at hand, and as
+    the training.
     """
-    pairs = left_out_pairs(load_bundle(run, trust=trust), jobs)
+    bundle = load_bundle(run, trust=trust)
+    config, base = run_config(bundle)[0], Path(bundle.record.base)
+    raw = split_logs(read_logs(config.logs.resolve(base), config.logs), config.split).train
+    known = bundle.record.data
+    for log in raw:
+        if known.get(log.source.file, log.source.sha256) != log.source.sha256:
+            raise DataError("is not the file that the run was trained on", file=log.source.file)
+    screening, faults = bundle.record.screening, dict[str, list[Finding]]()
+    for row in () if screening is None else screening.findings:
+        each = Finding.from_row(row)
+        faults.setdefault(each.log, []).append(each)
+    plans = _plans(raw, config, faults)
+    pairs = alike([pair for some in run_plans(plans, config, base, _pairs, -1) for pair in some])
     found = learned_from(pairs)
     if len({pair.name.partition("[")[0].partition(":")[0] for pair in pairs}) == 1:
         found = replace(found, flights=1)

@@ -146,7 +146,7 @@ def make_altered(folder: Path, plan: BlindPlan, logs: LogsConfig, base: Path) ->
     """
     files = logs.resolve(base)
     random = drawn(plan, 6)
-    sources = logs.sources(_header(files[0]))
+    sources = logs.sources(tuple(_rows(files[0])[0]))
     driver = next((name for name in ("TRA_deg", "FF_kgph") if name in sources), None)
     if driver is None:
         raise ConfigError("the logs have neither TRA_deg nor FF_kgph: nothing drives the engine")
@@ -193,11 +193,6 @@ def alter(case: Altered, logs: LogsConfig, driver: str) -> bytes:
 def _rows(file: Path) -> list[list[str]]:
     with open_text(file) as text:
         return list(csv.reader(text))
-
-
-def _header(file: Path) -> tuple[str, ...]:
-    with open_text(file) as text:
-        return tuple(next(csv.reader(text)))
 
 
 def _numbers(rows: Sequence[Sequence[str]], column: int) -> FloatArray:

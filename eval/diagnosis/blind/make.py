@@ -18,7 +18,7 @@ noise. All shares sum to 1; one below 0 opposes the others.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from itertools import combinations
 from pathlib import Path
@@ -215,7 +215,8 @@ def make_cases(
     The bytes depend on plan and secret alone. The list tells names, flights and digests, and
     nothing of what is in a case. Raises `ModelError` naming the case that cannot be flown.
     """
-    made = _all_made(folder, plan, draw_cases(plan), jobs)
+    cases = draw_cases(plan)
+    made = in_processes(partial(make_case, folder, plan), cases, min(jobs, len(cases)))
     return write_key(folder, plan, secret, made, progress)
 
 
@@ -233,10 +234,6 @@ def write_key(
     atomic_write_bytes(folder / KEY, sealed(key, secret, salt_of(listed)))
     atomic_write_text(folder / CASES, to_json(listed))
     return listed
-
-
-def _all_made(folder: Path, plan: BlindPlan, cases: Sequence[Case], jobs: int) -> Iterator[Made]:
-    return in_processes(partial(make_case, folder, plan), cases, min(jobs, len(cases)))
 
 
 def make_case(folder: Path, plan: BlindPlan, case: Case) -> Made:
