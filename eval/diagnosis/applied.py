@@ -27,11 +27,11 @@ from data_prep.prepare import hold_inputs
 from eval.diagnosis.expected import Values, claimed_in, settings, with_effects
 from eval.diagnosis.simulators import Simulate
 from narxcal.channels import CHANNELS
-from narxcal.effects.base import InputEffect, SettledEffect, ShiftEffect, Signals
+from narxcal.effects.base import Signals
 from narxcal.effects.running import Flights, Setting, acts_inside, arrived, read
-from narxcal.effects.steady import UNLOGGED, UnloggedSwitch
+from narxcal.effects.steady import UNLOGGED, UNLOGGED_SWITCH
 from narxcal.support.arrays import FloatArray, block_means, bridge_gaps
-from narxcal.support.errors import ConfigError, DataError, ModelError
+from narxcal.support.errors import ConfigError, DataError, ModelError, NarxcalError
 from narxcal.two_spool import TwoSpool
 from training.diagnosis.emulator import GreyBoxEmulator, SettledModel
 
@@ -62,11 +62,9 @@ class FoundEffects:
 
     @property
     def has_load(self) -> bool:
-        """Whether a load that no channel records is among the effects."""
-        return UnloggedSwitch.id in self.values
+        return UNLOGGED_SWITCH.id in self.values
 
     def knows(self, name: str) -> bool:
-        """Whether the log of that name was searched for windows of the load."""
         return name in self.searched
 
     def added_to(self, log: Log, name: str | None = None) -> dict[str, FloatArray]:
@@ -125,11 +123,11 @@ class FoundEffects:
 
     def _way(self, setting: Setting, *, again: bool) -> str:
         effect = setting[0]
-        if again and isinstance(effect, InputEffect):
+        if again and effect.arrives is not None:
             return INPUTS
-        if isinstance(effect, ShiftEffect):
+        if effect.shifts is not None:
             return SHIFTED
-        inside = isinstance(effect, InputEffect) or acts_inside(setting, self.signals)
+        inside = effect.arrives is not None or acts_inside(setting, self.signals)
         return EMULATED if inside else OUTPUTS
 
     def _complete(self, log: Log, name: str, outputs: tuple[str, ...] = ()) -> Log:
@@ -175,7 +173,6 @@ class FoundEffects:
         return np.column_stack([outputs[name] for name in self.signals.outputs])
 
     def _bridged(self, said: FloatArray, log: Log) -> FloatArray:
-        """Outputs (time, outputs) without holes, for an effect with memory."""
         for name, column in zip(self.signals.outputs, said.T, strict=True):
             if not np.isfinite(column).any():
                 raise DataError(
@@ -197,7 +194,7 @@ class FoundEffects:
             effect.name: {
                 p.name: self.values[effect.name].get(p.name, p.neutral)
                 for p in effect.parameters(self.signals)
-                if not p.linear or isinstance(effect, SettledEffect)
+                if not p.linear or effect.settled
             }
             for effect, theta in found
             if acts_inside((effect, theta), self.signals)
@@ -205,7 +202,6 @@ class FoundEffects:
         return self._in_blocks(inside, given, y, log) if inside else 0.0
 
     def _on(self, log: Log, name: str) -> FloatArray:
-        """1 within the windows, by seconds since the log began."""
         since, on = log.time_s - log.time_s[0], np.zeros(len(log))
         for start_s, end_s in self.windows.get(name, ()):
             on[(since >= start_s) & (since < end_s)] = 1.0
@@ -236,7 +232,6 @@ class FoundEffects:
 
 
 def _between(at: FloatArray, times: FloatArray, rows: FloatArray) -> FloatArray:
-    """Columns of `rows` (times, columns) on straight lines at other times."""
     return np.column_stack([np.interp(at, times, column) for column in rows.T])
 
 
@@ -270,7 +265,6 @@ def _found(document: Mapping[str, Any], emulator: GreyBoxEmulator | None) -> Fou
 
 
 def _windows(document: Mapping[str, Any]) -> Windows:
-    """Seconds since the beginning of the log, for every log in which a load was on."""
     found: dict[str, tuple[tuple[float, float], ...]] = {}
     for row in document["effects"]:
         for spell in row.get("windows", ()):
@@ -281,19 +275,21 @@ def _windows(document: Mapping[str, Any]) -> Windows:
 
 def gap_document(file: Path) -> Mapping[str, Any]:
     """Read a `gap.json`; raises `ConfigError` for a file that is none, or of another version."""
+    hint = "Name the gap.json that narxcal diagnose wrote, or diagnose again"
+    return read_document(file, GAP_SCHEMA, ConfigError, hint)
+
+
+def read_document(file: Path, schema: str, error: type[NarxcalError], hint: str) -> dict[str, Any]:
+    """Read a JSON document of a schema; raises `error` with a `hint` for a file that is none."""
     try:
         document = json.loads(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(f"cannot be read: {error.strerror}", file=file) from None
-    except (ValueError, RecursionError) as error:
-        raise ConfigError(f"not JSON: {error}", file=file) from None
+    except OSError as problem:
+        raise error(f"cannot be read: {problem.strerror}", file=file, hint=hint) from None
+    except (ValueError, RecursionError) as problem:
+        raise error(f"not JSON: {problem}", file=file, hint=hint) from None
     found = document.get("schema") if isinstance(document, dict) else None
-    if found != GAP_SCHEMA:
-        raise ConfigError(
-            f"expected schema '{GAP_SCHEMA}', found {found!r}",
-            file=file,
-            hint="Name the gap.json that narxcal diagnose wrote, or diagnose again",
-        )
+    if found != schema:
+        raise error(f"expected schema '{schema}', found {found!r}", file=file, hint=hint)
     return dict(document)
 
 
@@ -330,7 +326,7 @@ def write_emulator(folder: Path, emulator: GreyBoxEmulator) -> None:
 
 def read_emulator(folder: Path) -> GreyBoxEmulator:
     """Read what `write_emulator` wrote; raises `ModelError` where it is missing or altered."""
-    document = _document(folder / DOCUMENT)
+    document = read_document(folder / DOCUMENT, SCHEMA, ModelError, _AGAIN)
     arrays = _arrays(folder / WEIGHTS, str(document.get("sha256")))
     try:
         settled = SettledModel(
@@ -361,7 +357,6 @@ def read_emulator(folder: Path) -> GreyBoxEmulator:
 
 
 def signals_to_json(signals: Signals) -> dict[str, Any]:
-    """Plain values."""
     return {
         name: value.tolist() if isinstance(value, np.ndarray) else value
         for name, value in asdict(signals).items()
@@ -384,17 +379,6 @@ def signals_from_json(stored: Mapping[str, Any]) -> Signals:
 
 def _range(low: float, high: float) -> tuple[float, float]:
     return float(low), float(high)
-
-
-def _document(file: Path) -> dict[str, Any]:
-    try:
-        document = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise ModelError(f"cannot be read: {error}", file=file, hint=_AGAIN) from None
-    found = document.get("schema") if isinstance(document, dict) else None
-    if found != SCHEMA:
-        raise ModelError(f"expected schema '{SCHEMA}', found {found!r}", file=file, hint=_AGAIN)
-    return dict(document)
 
 
 def _arrays(file: Path, sha256: str) -> dict[str, FloatArray]:

@@ -36,14 +36,12 @@ from eval.diagnosis.expected import (
     with_effects,
 )
 from eval.diagnosis.flights import (
-    GapData,
     batch,
     block_size,
     check_excitation,
     events_of,
     in_terms_of,
     phases_of,
-    record_of,
     together,
 )
 from eval.diagnosis.learned import keep_learned, learn_left_out, learned_by, learned_from
@@ -55,9 +53,9 @@ from eval.judging.log_evaluation import role_of
 from eval.report import plot
 from eval.report.tables import Shown, Summary
 from eval.run_logs import evaluation_logs, run_config
-from narxcal.calibration.bundle import DOCUMENT, load_bundle
+from narxcal.calibration.bundle import Bundle
 from narxcal.effects.running import Emulator, with_load
-from narxcal.effects.steady import UnloggedSwitch
+from narxcal.effects.steady import UNLOGGED_SWITCH
 from narxcal.support.errors import ConfigError, DataError, NarxcalError
 from narxcal.support.progress import Progress, silent
 from training.config import RunConfig
@@ -94,12 +92,10 @@ class Request(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Answer(Shown):
-    """The document of schema narxcal.gap/2, the budget it states, and what both rest on."""
+    """The document of schema narxcal.gap/2, and what it rests on."""
 
     document: dict[str, Any]
-    budget: Budget
     evidence: Evidence
-    emulator: GreyBoxEmulator
 
     @property
     def table(self) -> pd.DataFrame:
@@ -107,19 +103,17 @@ class Answer(Shown):
         rows = [
             {key: row[key] for key in ("cause", "share", "low", "high", "probability")}
             | row["channels"]
-            for row in self.budget.rows()
+            for row in self.evidence.budget.rows()
         ]
         return pd.DataFrame(rows).set_index("cause")
 
     def plot(self) -> Figure:
-        """Draw the budget as bars: the whole gap, each channel, each phase."""
         figure: Any = plot.gap(self).figure
         drawn: Figure = figure
         return drawn
 
     @property
     def summary(self) -> Summary:
-        """What shells and notebooks show."""
         said = outcome(self.document)
         warnings = self.document["quality"]["warnings"]
         return Summary(said.headline, [*said.lines, *warnings], self.table)
@@ -143,8 +137,7 @@ def diagnose(  # noqa: PLR0913 - each is one option of the command
     differ by that is taken for no effect: 0 where the simulator is of this very engine. Raises
     `DataError`, `ConfigError`, `ModelError`.
     """
-    config = config or mapping_of(fspath(sim), trust=trust)
-    held_real, held_sim = (None, None) if heldout is None else heldout
+    held_real, held_sim = heldout or (None, None)
     request = Request(
         Path(real),
         fspath(sim),
@@ -157,21 +150,14 @@ def diagnose(  # noqa: PLR0913 - each is one option of the command
     return diagnose_folders(request)
 
 
-def mapping_of(sim: str, *, trust: bool = False) -> RunConfig | None:
-    """The configuration of a run folder, which maps the columns of its logs; None of others."""
-    if not (Path(sim or "nothing") / DOCUMENT).is_file():
-        return None
-    return run_config(load_bundle(Path(sim), trust=trust))[0]
-
-
 def diagnose_folders(request: Request, progress: Progress = silent) -> Answer:
     """Read the logs of a `Request` and diagnose; raises as `diagnose`."""
     began = time.perf_counter()
     progress(0, _STEPS, "reading")
-    simulator = open_simulator(request.sim, trust=request.trust)
-    screening = screening_by(request, request.real) if simulator.kind == "bundle" else Screening()
-    pairs = read_pairs(request.real, simulator.how, request.config, screening.faults)
-    held = _held_pairs(request)
+    simulator, config = _opened(request)
+    screening = screening_by(simulator.bundle, request.real)
+    pairs = read_pairs(request.real, simulator.how, config, screening.faults)
+    held = _held_pairs(request, simulator, config)
     check_apart(pairs, held)
     learned, warnings = _learned_of(request, simulator, progress)
     if learned is not None and request.build != 1.0:
@@ -186,6 +172,14 @@ def diagnose_folders(request: Request, progress: Progress = silent) -> Answer:
     return replace(answer, document={**answer.document, "quality": quality})
 
 
+def _opened(request: Request) -> tuple[Simulator, RunConfig | None]:
+    """The simulator, and how columns are mapped: as asked, else as a run folder does."""
+    simulator = open_simulator(request.sim, trust=request.trust)
+    if request.config is not None or simulator.bundle is None:
+        return simulator, request.config
+    return simulator, run_config(simulator.bundle)[0]
+
+
 class Screening(NamedTuple):
     """What flights show to a run before any effect is weighed.
 
@@ -198,10 +192,9 @@ class Screening(NamedTuple):
     faults: Mapping[str, Sequence[Finding]] = {}
 
 
-def screening_by(request: Request, folder: Path) -> Screening:
-    """What the logs of a folder show to the run of a request."""
-    bundle = load_bundle(Path(request.sim), trust=request.trust)
-    if not bundle.record.config:
+def screening_by(bundle: Bundle | None, folder: Path) -> Screening:
+    """What the logs of a folder show to a run; nothing without one."""
+    if bundle is None or not bundle.record.config:
         return Screening()
     try:
         logs = evaluation_logs(bundle, files_in(folder))
@@ -223,26 +216,24 @@ def screening_by(request: Request, folder: Path) -> Screening:
     return Screening([*([trained] if known else []), *reversed(misread.values())], faults)
 
 
-def _held_pairs(request: Request) -> list[Pair]:
+def _held_pairs(request: Request, simulator: Simulator, config: RunConfig | None) -> list[Pair]:
     if request.held_real is None:
         return []
-    source = request.sim if request.held_sim is None else request.held_sim
-    simulator = open_simulator(source, trust=request.trust)
-    if simulator.kind == "bundle":
-        faults = screening_by(request._replace(sim=source), request.held_real).faults
-        return read_pairs(request.held_real, simulator.how, request.config, faults)
-    if request.held_sim is None and isinstance(simulator.how, Path):
+    if request.held_sim is not None:
+        simulator = open_simulator(request.held_sim, trust=request.trust)
+    elif isinstance(simulator.how, Path):
         raise DataError(
             "held-out flights need their simulated logs", hint="Name them by --heldout-sim"
         )
-    return read_pairs(request.held_real, simulator.how, request.config)
+    faults = screening_by(simulator.bundle, request.held_real).faults
+    return read_pairs(request.held_real, simulator.how, config, faults)
 
 
 def _learned_of(
     request: Request, simulator: Simulator, progress: Progress
 ) -> tuple[Discrepancy | None, list[str]]:
     """What a run gets wrong by itself, learned now where nobody did, and what to say without it."""
-    if simulator.kind != "bundle":
+    if simulator.bundle is None:
         return None, []
     run = Path(request.sim)
     found = learned_by(run)
@@ -277,18 +268,17 @@ def diagnose_pairs(  # noqa: PLR0913 - what is known of the pairs, each part by 
     data = batch(pairs)
     check_excitation(data, events_of(data))
     there = in_terms_of(data, batch(held)) if held else None
-    record = record_of(data)
     progress(1, _STEPS, "emulator")
-    emulator = choose_control(fit_emulators(data.flights), record)
+    emulator = choose_control(fit_emulators(data.flights), data)
     itself = None if again is None else Rerun(emulator, again, block_size(pairs[0].dt_s))
     progress(2, _STEPS, "effects")
-    weights, phases = weigh(record, Engines(emulator, itself), differences), phases_of(data)
+    weights, phases = weigh(data, Engines(emulator, itself), differences), phases_of(data)
     found = concluded(weights, phases, [*doubts, *implausible(data)])
     progress(3, _STEPS, "where, and how far the gap shrinks")
     stand_in: Emulator = itself or emulator
     flown = data.flights
     evidence = _evidence(data, found, emulator, stand_in)
-    if found.claimed and (refused := _refused(evidence, record, differences)):
+    if found.claimed and (refused := _refused(evidence, differences)):
         found = concluded(weights, phases, refused=refused)
         evidence = _evidence(data, found, emulator, stand_in)
     data = evidence.data
@@ -302,18 +292,18 @@ def diagnose_pairs(  # noqa: PLR0913 - what is known of the pairs, each part by 
     facts = facts_of(pairs, data, held)
     facts["warnings"] = [*doubts, *facts["warnings"]]
     facts["warnings"] += coarse_emulator(evidence, again=again is not None)
-    evidence = replace(evidence, facts=facts)
-    return Answer(document(evidence, pairs), found, evidence, emulator)
+    evidence = replace(evidence, facts=facts, emulator=emulator)
+    return Answer(document(evidence, pairs), evidence)
 
 
-def _refused(evidence: Evidence, record: Record, differences: NullModel) -> str:
+def _refused(evidence: Evidence, differences: NullModel) -> str:
     """Why effects are no answer that take nothing off flights, or parts of few, that did not fit.
 
     The lower end of the share's interval may not read 0 %; the share itself where the gap is for
     the most part what a simulator was learned to get wrong by itself.
     """
     found = evidence.budget
-    taken = expected(seen(evidence.data, evidence.after, found.by_others, record.unit))
+    taken = expected(seen(evidence.data, evidence.after, found.by_others, evidence.data.unit))
     if round(taken.low if differences.learned is None else taken.value, 2) > 0.0:
         return ""
     names = listed([in_words(name) for name in found.claimed])
@@ -322,13 +312,12 @@ def _refused(evidence: Evidence, record: Record, differences: NullModel) -> str:
 
 
 def _evidence(
-    data: GapData, found: Budget, emulator: GreyBoxEmulator, stand_in: Emulator
+    data: Record, found: Budget, emulator: GreyBoxEmulator, stand_in: Emulator
 ) -> Evidence:
     if found.on is not None:
         data = replace(data, flights=with_load(data.flights, found.on.astype(float)))
     values = found.claimed
     after = with_effects(values, data.flights, stand_in)
-    errors = emulator.errors(data.flights).tolist()
     where = locate(data, after - data.flights.y)
     return Evidence(
         data,
@@ -338,43 +327,47 @@ def _evidence(
         time_shrink(data, after, where.events),
         expected(seen(data, after, found.by_others)) if values else _NOTHING,
         channel_shrink(data, after),
-        dict(zip(data.flights.signals.outputs, errors, strict=True)),
+        emulator,
+        _errors(emulator, data),
     )
+
+
+def _errors(emulator: GreyBoxEmulator, data: Record) -> dict[str, float]:
+    errors = emulator.errors(data.flights).tolist()
+    return dict(zip(data.flights.signals.outputs, errors, strict=True))
 
 
 def _with_held_out(
     evidence: Evidence,
-    data: GapData,
+    data: Record,
     stand_in: Emulator,
     checked: GreyBoxEmulator | None = None,
 ) -> Evidence:
     """Add what the effects do in further flights, and errors there of an emulator `checked`."""
     found = evidence.budget
-    if UnloggedSwitch.id in found.claimed:
+    if UNLOGGED_SWITCH.id in found.claimed:
         data = _with_windows(found.claimed, data, stand_in)
     there = held_out(found.claimed, data, stand_in)
     if checked is not None:
-        errors = checked.errors(data.flights).tolist()
-        rmse = dict(zip(data.flights.signals.outputs, errors, strict=True))
-        there = replace(there, emulator_rmse=rmse)
+        there = replace(there, emulator_rmse=_errors(checked, data))
     evidence = replace(
         evidence, held_out=there, times=time_shrink(data, there.after, events_of(data))
     )
     # Windows of a load in further flights are found in what was recorded: no prediction.
-    if not found.claimed or UnloggedSwitch.id in found.claimed:
+    if not found.claimed or UNLOGGED_SWITCH.id in found.claimed:
         return evidence
     here = seen(evidence.data, evidence.after, found.by_others)
     return replace(evidence, predicted=expected(here, unseen(data, there.after)))
 
 
-def _with_windows(values: Values, data: GapData, emulator: Emulator) -> GapData:
+def _with_windows(values: Values, data: Record, emulator: Emulator) -> Record:
     """Further flights with the windows in which the claimed load was on there.
 
     The gap of these flights gives the windows, the claim the size.
     """
-    others = {name: each for name, each in values.items() if name != UnloggedSwitch.id}
+    others = {name: each for name, each in values.items() if name != UNLOGGED_SWITCH.id}
     y = with_effects(others, data.flights, emulator)
-    record = record_of(replace(data, flights=replace(data.flights, y=y)))
+    record = replace(data, flights=replace(data.flights, y=y))
     metric = Metric(record, assumed_variance(record))
     frame = Frame(record, metric, record.gap, nuisances(record))
     on = windows_of(frame, shift_of(values, data.flights.signals)).astype(float)
@@ -387,7 +380,7 @@ def learn_folders(request: Request, run: Path) -> Discrepancy:
     `request` names flights and a simulator that was identified without them; `run` is a run of the
     same kind that is to be diagnosed with, on further flights. Raises as `diagnose_folders`.
     """
-    simulator = open_simulator(request.sim, trust=request.trust)
-    found = learned_from(read_pairs(request.real, simulator.how, request.config))
+    simulator, config = _opened(request)
+    found = learned_from(read_pairs(request.real, simulator.how, config))
     keep_learned(found, run)
     return found

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Final
 
@@ -13,16 +13,19 @@ from data_prep.cleaning.plausibility import conversions
 from data_prep.events import PULL, PUSH
 from eval.diagnosis.applied import GAP_SCHEMA, signals_to_json
 from eval.diagnosis.expected import ChannelShrink, HeldOut, TimeShrink, Values
-from eval.diagnosis.flights import GapData
 from eval.diagnosis.pairs import Pair
 from eval.diagnosis.where import Row, Sides, Where
+from eval.judging.outcome import plural
 from narxcal.channels import SPOOLS
-from narxcal.effects.base import InputEffect, RateEffect, SettledEffect, ShiftEffect, unit
-from narxcal.effects.library import LIBRARY, effect
-from narxcal.effects.steady import UnloggedSwitch
+from narxcal.effects.base import unit
+from narxcal.effects.library import effect
+from narxcal.effects.running import emulates_input
+from narxcal.effects.steady import TAKEN, UNLOGGED_SWITCH
 from narxcal.support.arrays import FloatArray, spans
 from narxcal.support.files import versions
 from training.diagnosis.budget import UNEXPLAINED, Budget, Interval
+from training.diagnosis.emulator import GreyBoxEmulator
+from training.diagnosis.metric import Record
 from training.diagnosis.nuisances import most_of_build
 
 FEW: Final = 3  # flights: fewer say little of the spread between them
@@ -39,17 +42,18 @@ class Evidence:
     `after` (flights, time, outputs) is the simulator with the claimed effects, or as it was where
     nothing is claimed; `predicted` the share of the squared gap that they will take off other
     flights, `channels` the RMSE on these. `times` is how Ti and Tt errors shrink with them, per
-    channel, on held-out flights where there are any. `emulator_rmse` is of the emulator's free run;
-    `facts` go into `quality` as they are.
+    channel, on held-out flights where there are any. `emulator_rmse` is of the `emulator`'s free
+    run; `facts` go into `quality` as they are.
     """
 
-    data: GapData
+    data: Record
     budget: Budget
     where: Where
     after: FloatArray
     times: Mapping[str, TimeShrink]
     predicted: Interval
     channels: Mapping[str, ChannelShrink]
+    emulator: GreyBoxEmulator
     emulator_rmse: Mapping[str, float]
     held_out: HeldOut | None = None
     facts: Mapping[str, object] = field(default_factory=dict)
@@ -96,7 +100,7 @@ def _effect_rows(found: Budget, pairs: Sequence[Pair], dt_s: float) -> list[dict
         for pair, on, edges in zip(pairs, found.on, found.edges, strict=True)
         for k, (start, stop) in enumerate(spans(on))
     ]
-    return [row | {"windows": windows} if row["id"] == UnloggedSwitch.id else row for row in rows]
+    return [row | {"windows": windows} if row["id"] == UNLOGGED_SWITCH.id else row for row in rows]
 
 
 def _side(found: Budget, where: Where) -> Sides:
@@ -105,7 +109,7 @@ def _side(found: Budget, where: Where) -> Sides:
         return where.side
     votes = dict.fromkeys(Sides._fields, 0.0)
     for one in found.effects:
-        votes[LIBRARY[one.name.partition(":")[0]].side] += one.probability
+        votes[effect(one.name).side] += one.probability
     whole = max(sum(votes.values()), 1e-9)
     return Sides(**{side: vote / whole for side, vote in votes.items()})
 
@@ -157,13 +161,11 @@ def _clipped(share: float, unknown: float) -> float:
 
 
 def _taken(found: ChannelShrink) -> float:
-    """Share of one channel's mean squared gap that is taken off."""
     return 1.0 - (found.after / found.before) ** 2 if found.before > 0.0 else 0.0
 
 
 def _flown(held: HeldOut) -> str:
-    count = len(held.data.names)
-    return f"{count} flight{'' if count == 1 else 's'} that took no part"
+    return f"{plural(len(held.data.names), 'flight')} that took no part"
 
 
 def _measured(found: Budget, where: Where) -> dict[str, Any]:
@@ -180,11 +182,12 @@ def _measured(found: Budget, where: Where) -> dict[str, Any]:
         "Ti_Tt": {
             name: {
                 direction: {
-                    "events": times.count(direction),
-                    "Ti_s": times.median("Ti_s", direction),
-                    "Tt_s": times.median("Tt_s", direction),
+                    "events": len(some),
+                    "Ti_s": float(some["Ti_s"].median()),
+                    "Tt_s": float(some["Tt_s"].median()),
                 }
                 for direction in ("push", "pull")
+                for some in [times[times["direction"] == direction]]
             }
             for name, times in where.times.items()
         },
@@ -193,9 +196,19 @@ def _measured(found: Budget, where: Where) -> dict[str, Any]:
     }
 
 
-def cautions(pairs: Sequence[Pair], data: GapData) -> list[str]:
-    """What the logs give reason to be careful about."""
-    return [*_few(pairs), *_left_out(pairs), *_unknown(pairs), *implausible(data)]
+def cautions(pairs: Sequence[Pair], data: Record) -> list[str]:
+    found = []
+    if len(pairs) < FEW:
+        found.append(f"{plural(len(pairs), 'flight')}: the uncertainty is wider")
+    alone = dict.fromkeys(item for pair in pairs for item in pair.lone.items())
+    found += [f"{name} is {why}: it is left out" for name, why in alone]
+    unknown = 1.0 - float(np.mean([np.isfinite(v).mean() for p in pairs for v in p.real.values()]))
+    if unknown > _UNKNOWN:
+        found.append(f"{100.0 * unknown:.1f} % of the recorded samples are unknown")
+    cut = sum(pair.counts.get("cut at the end", 0) for pair in pairs)
+    if cut:
+        found.append(f"{cut} samples at the ends of flights have no partner and are cut")
+    return [*found, *implausible(data)]
 
 
 def coarse_emulator(evidence: Evidence, *, again: bool) -> list[str]:
@@ -206,7 +219,7 @@ def coarse_emulator(evidence: Evidence, *, again: bool) -> list[str]:
     """
     if not rests_on_emulator(evidence.budget.claimed, again=again):
         return []
-    gap = np.sqrt(np.nanmean(evidence.data.gap**2, axis=(0, 1)))
+    gap = np.sqrt(np.nanmean(evidence.data.difference**2, axis=(0, 1)))
     own = evidence.emulator_rmse
     coarse = [
         f"{name} ({own[name]:.3g} of {size:.3g})"
@@ -223,39 +236,17 @@ def coarse_emulator(evidence: Evidence, *, again: bool) -> list[str]:
 
 
 def rests_on_emulator(values: Values, *, again: bool) -> bool:
-    """Whether what any of the effects does is the emulator's answer."""
     return any(_emulated(name, own, again=again) for name, own in values.items())
 
 
 def _emulated(name: str, values: Mapping[str, float], *, again: bool) -> bool:
     """Whether what it does rests on the emulator: of loads and heat what they take of the core."""
     kind = effect(name)
-    inward = isinstance(kind, InputEffect) and not isinstance(kind, ShiftEffect)
-    takes = values.get("loss", 0.0) > 0.0
-    return isinstance(kind, (RateEffect, SettledEffect)) or takes or (inward and not again)
+    takes = values.get(TAKEN.name, 0.0) > 0.0
+    return kind.on_rates or kind.settled or takes or (emulates_input(kind) and not again)
 
 
-def _few(pairs: Sequence[Pair]) -> Iterator[str]:
-    if len(pairs) < FEW:
-        yield f"{len(pairs)} flight{'s' if len(pairs) > 1 else ''}: the uncertainty is wider"
-
-
-def _left_out(pairs: Sequence[Pair]) -> Iterator[str]:
-    """Channels that are not diagnosed, and why."""
-    found = dict.fromkeys(item for pair in pairs for item in pair.lone.items())
-    return (f"{name} is {why}: it is left out" for name, why in found)
-
-
-def _unknown(pairs: Sequence[Pair]) -> Iterator[str]:
-    unknown = 1.0 - float(np.mean([np.isfinite(v).mean() for p in pairs for v in p.real.values()]))
-    if unknown > _UNKNOWN:
-        yield f"{100.0 * unknown:.1f} % of the recorded samples are unknown"
-    cut = sum(pair.counts.get("cut at the end", 0) for pair in pairs)
-    if cut:
-        yield f"{cut} samples at the ends of flights have no partner and are cut"
-
-
-def implausible(data: GapData) -> list[str]:
+def implausible(data: Record) -> list[str]:
     """What no engine and no sensor of the library does: another unit, another speed for 100 %.
 
     A channel is in another unit where recorded and simulated differ by more than builds can, on
@@ -265,7 +256,7 @@ def implausible(data: GapData) -> list[str]:
     for k, name in enumerate(data.flights.signals.outputs):
         real, sim = (
             data.real[..., k],
-            np.where(np.isfinite(data.gap[..., k]), data.flights.y[..., k], np.nan),
+            np.where(np.isfinite(data.difference[..., k]), data.flights.y[..., k], np.nan),
         )
         apart = _middle(real - sim)
         if _middle(np.abs(real - sim)) <= most[k]:
@@ -293,7 +284,7 @@ def _middle(values: FloatArray) -> float:
     return float(np.nanmedian(values))
 
 
-def facts_of(pairs: Sequence[Pair], data: GapData, held: Sequence[Pair]) -> dict[str, Any]:
+def facts_of(pairs: Sequence[Pair], data: Record, held: Sequence[Pair]) -> dict[str, Any]:
     """`quality` of `gap.json`, as far as it is of the logs."""
     return {
         "flights": [pair.name for pair in pairs],

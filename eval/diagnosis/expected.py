@@ -18,20 +18,21 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+import pandas as pd
 from scipy.stats import t
 
 from data_prep.events import PUSH, Event
-from eval.diagnosis.flights import GapData
 from narxcal.effects.base import Signals
 from narxcal.effects.library import effect, name_of
 from narxcal.effects.running import Emulator, Flights, Setting, respond
-from narxcal.effects.steady import UnloggedSwitch
+from narxcal.effects.steady import UNLOGGED_SWITCH
 from narxcal.support.arrays import FloatArray, IntArray
 from narxcal.support.errors import ConfigError
 from training.diagnosis.budget import Interval
+from training.diagnosis.metric import Record
 from training.responses.response import Transient, TransientConfig, measure_transient
 
 Values = Mapping[str, Mapping[str, float]]  # effect -> parameter -> value
@@ -66,7 +67,7 @@ class HeldOut:
     `emulator_rmse` per channel is of the emulator's free run there, where the effects rest on it.
     """
 
-    data: GapData
+    data: Record
     share: float
     channels: Mapping[str, ChannelShrink]
     after: FloatArray
@@ -113,8 +114,7 @@ def _theta(name: str, given: Mapping[str, float], signals: Signals) -> FloatArra
 
 
 def shift_of(values: Values, signals: Signals) -> FloatArray:
-    """What the claimed load shifts each output by, (outputs,)."""
-    sizes = values[UnloggedSwitch.id]
+    sizes = values[UNLOGGED_SWITCH.id]
     return np.array([sizes.get(f"on_{name}", 0.0) for name in signals.outputs])
 
 
@@ -125,15 +125,14 @@ def with_effects(values: Values, flights: Flights, emulator: Emulator | None) ->
     return np.asarray(respond(settings(values, flights.signals), flights, emulator)[0])
 
 
-def held_out(values: Values, data: GapData, emulator: Emulator | None) -> HeldOut:
-    """Add the effects to the simulator of flights that took no part in finding them."""
+def held_out(values: Values, data: Record, emulator: Emulator | None) -> HeldOut:
     after = with_effects(values, data.flights, emulator)
     share = float(pooled_share(*squares(data, after)))
     return HeldOut(data, share, channel_shrink(data, after), after)
 
 
 def squares(
-    data: GapData, after: FloatArray, unit: IntArray | None = None
+    data: Record, after: FloatArray, unit: IntArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
     """Sums of squares of the gap above the noise per flight, before and `after`: (flights,) each.
 
@@ -141,16 +140,15 @@ def squares(
     `noise^2 + (0.001 range)^2`, so that anybody can form them from the logs. Per `unit`
     (flights, time) where that is given.
     """
-    floor = np.isfinite(data.gap) * data.noise**2
+    floor = np.isfinite(data.difference) * data.noise**2
     before, left = (
         _summed(np.nansum((each**2 - floor) / data.variance, axis=2), unit)
-        for each in (data.gap, data.real - after)
+        for each in (data.difference, data.real - after)
     )
     return before, left
 
 
 def _summed(values: FloatArray, unit: IntArray | None) -> FloatArray:
-    """Sums of values (flights, time) per flight, or per unit."""
     if unit is None:
         return np.asarray(values.sum(axis=1))
     return np.bincount(unit[unit >= 0], values[unit >= 0]).astype(np.float64)
@@ -165,9 +163,9 @@ def pooled_share(before: FloatArray, left: FloatArray) -> float:
     return min(1.0, 1.0 - float(left.sum()) / whole) if whole > 0.0 else 0.0
 
 
-def channel_shrink(data: GapData, after: FloatArray) -> dict[str, ChannelShrink]:
+def channel_shrink(data: Record, after: FloatArray) -> dict[str, ChannelShrink]:
     """Root mean squares of recorded less simulated, before and after, and the noise."""
-    before = np.sqrt(np.nanmean(data.gap**2, axis=(0, 1)))
+    before = np.sqrt(np.nanmean(data.difference**2, axis=(0, 1)))
     left = np.sqrt(np.nanmean((data.real - after) ** 2, axis=(0, 1)))
     return {
         name: ChannelShrink(float(before[k]), float(left[k]), float(data.noise[k]))
@@ -176,18 +174,17 @@ def channel_shrink(data: GapData, after: FloatArray) -> dict[str, ChannelShrink]
 
 
 def time_shrink(
-    data: GapData, after: FloatArray, events: Sequence[Sequence[Event]]
+    data: Record, after: FloatArray, events: Sequence[Sequence[Event]]
 ) -> dict[str, TimeShrink]:
-    """Errors of Ti and Tt before and after, over the events that could be read both times."""
     first = time_errors(data, data.flights.y, events)
     then = time_errors(data, after, events)
     return {name: _both(first[name], then[name]) for name in first}
 
 
-def _both(before: TimeErrors, after: TimeErrors) -> TimeShrink:
-    first, then = before.shared_with(after), after.shared_with(before)
-    times = [found.mean_abs(name) for name in ("Ti_s", "Tt_s") for found in (first, then)]
-    return TimeShrink(len(first.events), *times)
+def _both(before: pd.DataFrame, after: pd.DataFrame) -> TimeShrink:
+    shared = before.merge(after, on=["flight", "start"], suffixes=("", "_after"))
+    names = ("Ti_s", "Ti_s_after", "Tt_s", "Tt_s_after")
+    return TimeShrink(len(shared), *(float(shared[name].abs().mean()) for name in names))
 
 
 _AT_ONCE = 2  # flights that are predicted by the others
@@ -209,7 +206,6 @@ class Sums(NamedTuple):
     samples: FloatArray
 
     def of(self, rows: Sequence[int]) -> Sums:
-        """Those of some of the flights."""
         return Sums(*(each[list(rows)] for each in self))
 
 
@@ -221,7 +217,7 @@ class Other(NamedTuple):
 
 
 def seen(
-    data: GapData, after: FloatArray, by_others: FloatArray | None, unit: IntArray | None = None
+    data: Record, after: FloatArray, by_others: FloatArray | None, unit: IntArray | None = None
 ) -> Sums:
     """Sum up flight by flight what `after` (flights, time, outputs) changes and leaves.
 
@@ -233,7 +229,7 @@ def seen(
     return Sums(*squares(data, unfitted, unit), *unseen(data, after, unit))
 
 
-def unseen(data: GapData, after: FloatArray, unit: IntArray | None = None) -> Other:
+def unseen(data: Record, after: FloatArray, unit: IntArray | None = None) -> Other:
     """What `after` changes, and where anything was recorded, whatever that is."""
     known = np.isfinite(data.real)
     change = (after - data.flights.y) ** 2 / data.variance
@@ -295,7 +291,6 @@ def _by_change(found: Sums, other: Other) -> float:
 
 
 def _part(alike: FloatArray, by_change: FloatArray) -> float:
-    """Part of the second prediction in the mixture of least squared errors (sets,)."""
     apart = by_change - alike
     return float(np.clip(-(alike @ apart) / max(float(apart @ apart), _NONE), 0.0, 1.0))
 
@@ -315,51 +310,19 @@ _LEAST = 0.08  # of the channel's range: the smallest response that is read
 _BEFORE_S, _AFTER_S = 1.0, 8.0
 
 
-@dataclass(frozen=True)
-class EventTimes:
-    """One event on one channel: what the model has too little (flight less model), in seconds."""
-
-    flight: int
-    start: int
-    direction: str
-    Ti_s: float
-    Tt_s: float
-
-
-@dataclass(frozen=True)
-class TimeErrors:
-    """All events of one channel that could be read on both sides."""
-
-    events: tuple[EventTimes, ...]
-
-    def shared_with(self, other: TimeErrors) -> TimeErrors:
-        """Those of the events that could be read in `other` as well."""
-        there = {(event.flight, event.start) for event in other.events}
-        return TimeErrors(tuple(e for e in self.events if (e.flight, e.start) in there))
-
-    def mean_abs(self, name: str) -> float:
-        """Mean absolute error of `Ti_s` or `Tt_s`; NaN without an event."""
-        values = [abs(getattr(event, name)) for event in self.events]
-        return float(np.mean(values)) if values else float("nan")
-
-    def median(self, name: str, direction: str) -> float:
-        """Median error of `Ti_s` or `Tt_s` over pushes or pulls; NaN without one."""
-        values = [getattr(e, name) for e in self.events if e.direction == direction]
-        return float(np.median(values)) if values else float("nan")
-
-    def count(self, direction: str) -> int:
-        """Events that were read."""
-        return sum(event.direction == direction for event in self.events)
+_EVENT: Final = {"flight": int, "start": int, "direction": str, "Ti_s": float, "Tt_s": float}
 
 
 def time_errors(
-    data: GapData, model: FloatArray, events: Sequence[Sequence[Event]]
-) -> Mapping[str, TimeErrors]:
-    """Read every event on every output of `data.real` and of `model` (flights, time, outputs).
+    data: Record, model: FloatArray, events: Sequence[Sequence[Event]]
+) -> dict[str, pd.DataFrame]:
+    """What `model` (flights, time, outputs) has too little of Ti and Tt, in seconds, by output.
 
-    Events that end before the speeds settle, responses below 8 % of the channel's range, and
-    those that either side does not settle on are left out. A response is followed for up to 8 s
-    after its event, as far as the lever rests: the flight may be slower than the model.
+    A row is an event that could be read both on `data.real` and on the model: its number of the
+    flight, first sample and direction, and flight less model. Events that end before the speeds
+    settle, responses below 8 % of the channel's range, and those that either side does not settle
+    on are left out. A response is followed for up to 8 s after its event, as far as the lever
+    rests: the flight may be slower than the model.
     """
     dt_s, lengths = data.flights.signals.dt_s, data.flights.lengths
     longer = [
@@ -370,20 +333,17 @@ def time_errors(
         )
     ]
     return {
-        name: TimeErrors(
-            tuple(
-                found
-                for f, event in longer
-                if (found := _read(data, model, (f, k), event)) is not None
-            )
-        )
+        name: pd.DataFrame(
+            filter(None, (_read(data, model, (f, k), event) for f, event in longer)),
+            columns=list(_EVENT),
+        ).astype(_EVENT)
         for k, name in enumerate(data.flights.signals.outputs)
     }
 
 
 def _read(
-    data: GapData, model: FloatArray, place: tuple[int, int], event: Event
-) -> EventTimes | None:
+    data: Record, model: FloatArray, place: tuple[int, int], event: Event
+) -> tuple[int, int, str, float, float] | None:
     f, k = place
     if event.interrupted or not event.settled:
         return None
@@ -397,8 +357,7 @@ def _read(
     if not _comparable(flight, sim):
         return None
     direction = "push" if event.label == PUSH else "pull"
-    errors = (flight.Ti_s - sim.Ti_s, flight.Tt_s - sim.Tt_s)
-    return EventTimes(f, event.start, direction, *errors)
+    return f, event.start, direction, flight.Ti_s - sim.Ti_s, flight.Tt_s - sim.Tt_s
 
 
 def _comparable(flight: Transient, model: Transient) -> bool:

@@ -13,11 +13,11 @@ from eval.diagnosis.pairs import RATES, Pair
 from narxcal.channels import spools_of
 from narxcal.effects.base import Signals
 from narxcal.effects.running import Flights, with_load
-from narxcal.effects.steady import UNLOGGED
+from narxcal.effects.steady import SWITCHES, UNLOGGED
 from narxcal.support.arrays import FloatArray, IntArray, block_means, noise_level
 from narxcal.support.errors import DataError
 from training.diagnosis.budget import Phases
-from training.diagnosis.metric import TOLERANCE, Record
+from training.diagnosis.metric import Record
 from training.responses.response import HIGH, LOW
 
 Regimes = dict[str, tuple[tuple[str, ...], IntArray]]
@@ -31,7 +31,6 @@ MOVES = (
 LEVELS = ("low", "mid", "high")
 # Where a level begins: 10000 and 25000 ft, Mach 0.3 and 0.6, thirds of the speed range.
 EDGES = {"altitude": (10e3, 25e3), "Mach": (0.3, 0.6), "power": (1 / 3, 2 / 3)}
-SWITCHES = ("ECS", "NAI", "WAI")
 _SMALL = 0.01  # of the range: a change whose 10 % and 90 % cannot be read
 RATE_HZ = 4.0
 KEEP_HZ = 5.0  # slower logs are taken as they are
@@ -40,39 +39,7 @@ _SILENT = 1e-5  # of a channel's range: logs that agree to the digit have no les
 _TRIMMED = 90.0  # percentile of the second differences that counts where their median is none
 
 
-@dataclass(frozen=True, eq=False)
-class GapData:
-    """All flights as one batch.
-
-    `real` (flights, time, outputs) is NaN where unknown and beyond a flight's end; `noise`
-    (outputs,) is its standard deviation on the raster of `flights`; `fast` (outputs,) what the mean
-    squared gap of the logs is more than that on this raster; `names` are the flights'.
-    """
-
-    flights: Flights
-    real: FloatArray
-    noise: FloatArray
-    fast: FloatArray
-    names: tuple[str, ...]
-
-    @property
-    def gap(self) -> FloatArray:
-        """Recorded less simulated, (flights, time, outputs), NaN where unknown."""
-        return self.real - self.flights.y
-
-    @property
-    def span(self) -> FloatArray:
-        """Range of each output in the simulator's logs: (outputs,)."""
-        signals = self.flights.signals
-        return np.maximum(signals.high - signals.low, 1e-9)
-
-    @property
-    def variance(self) -> FloatArray:
-        """Of noise and of what nobody would call a gap, (outputs,)."""
-        return self.noise**2 + (TOLERANCE * self.span) ** 2
-
-
-def batch(pairs: Sequence[Pair], rate_hz: float = RATE_HZ, keep_hz: float = KEEP_HZ) -> GapData:
+def batch(pairs: Sequence[Pair], rate_hz: float = RATE_HZ, keep_hz: float = KEEP_HZ) -> Record:
     """Put all pairs on one raster of about `rate_hz`, by means over whole blocks of samples.
 
     Logs of up to `keep_hz` keep their own. Means do not shift recorded against simulated, and white
@@ -83,7 +50,9 @@ def batch(pairs: Sequence[Pair], rate_hz: float = RATE_HZ, keep_hz: float = KEEP
     u = [_blocks(pair.inputs, inputs, size) for pair in pairs]
     y = [_blocks(pair.sim, outputs, size) for pair in pairs]
     real = [_blocks(pair.real, outputs, size) for pair in pairs]
-    signals = _signals(pairs[0], (u, y), pairs[0].dt_s * size)
+    none = np.zeros(len(outputs))
+    signals = Signals(inputs, outputs, pairs[0].dt_s * size, pairs[0].driver, none, none)
+    signals = _in_ranges(signals, np.concatenate(u), np.concatenate(y))
     longest = max(len(each) for each in u)
     flights = Flights(
         signals,
@@ -95,11 +64,11 @@ def batch(pairs: Sequence[Pair], rate_hz: float = RATE_HZ, keep_hz: float = KEEP
     gaps = [r - s for r, s in zip(real, y, strict=True)]
     noise = np.maximum(_noise(gaps), _SILENT * (signals.high - signals.low))
     fast = _fast_energy(pairs, outputs, gaps)
-    return GapData(flights, measured, noise, fast, tuple(pair.name for pair in pairs))
+    names = tuple(pair.name for pair in pairs)
+    return Record(flights, measured, noise, _units(flights), _groups(flights), fast, names)
 
 
 def block_size(dt_s: float, rate_hz: float = RATE_HZ, keep_hz: float = KEEP_HZ) -> int:
-    """Samples in a block."""
     return 1 if 1.0 / dt_s <= keep_hz else max(1, round(1.0 / (dt_s * rate_hz)))
 
 
@@ -113,30 +82,22 @@ def _padded(rows: FloatArray, length: int, filling: float | None = None) -> Floa
     return np.concatenate([rows, rest])
 
 
-def _signals(
-    pair: Pair, arrays: tuple[Sequence[FloatArray], Sequence[FloatArray]], dt_s: float
-) -> Signals:
-    u, y = (np.concatenate(part) for part in arrays)
-    names = tuple(pair.inputs)
+def _in_ranges(signals: Signals, u: FloatArray, y: FloatArray) -> Signals:
+    """The signals with the ranges of inputs and outputs, (samples, ...)."""
     size = np.maximum(np.abs(u).max(axis=0), 1e-9)
-    active = tuple(np.array(names)[np.ptp(u, axis=0) > _STILL * size].tolist())
-    driver = u[:, names.index(pair.driver)]
-    return Signals(
-        names,
-        tuple(pair.sim),
-        dt_s,
-        pair.driver,
-        y.min(axis=0),
-        y.max(axis=0),
-        (float(driver.min()), float(driver.max())),
-        active,
+    lever = u[:, signals.u(signals.driver)]
+    return replace(
+        signals,
+        low=y.min(axis=0),
+        high=y.max(axis=0),
+        lever=(float(lever.min()), float(lever.max())),
+        active=tuple(np.array(signals.inputs)[np.ptp(u, axis=0) > _STILL * size].tolist()),
     )
 
 
 def _fast_energy(
     pairs: Sequence[Pair], outputs: Sequence[str], means: Sequence[FloatArray]
 ) -> FloatArray:
-    """What block means take from the mean squared gap of each output, (outputs,)."""
     whole = np.concatenate([[p.real[n] - p.sim[n] for n in outputs] for p in pairs], axis=1)
     slow = np.concatenate(means)
     lost = np.nanmean(whole**2, axis=1) - np.nanmean(slow**2, axis=0)
@@ -144,7 +105,6 @@ def _fast_energy(
 
 
 def _noise(gaps: Sequence[FloatArray]) -> FloatArray:
-    """Standard deviation (outputs,) of the part of the gaps that changes from sample to sample."""
     return np.array(
         [float(np.median([_fast_part(gap[:, k]) for gap in gaps])) for k in range(gaps[0].shape[1])]
     )
@@ -171,7 +131,7 @@ FEWEST = 3  # pushes, and pulls, over all flights: fewer say nothing about their
 _FUEL_FRACTION = 0.05  # a fuel flow wanders more than a lever does
 
 
-def events_of(data: GapData) -> tuple[tuple[Event, ...], ...]:
+def events_of(data: Record) -> tuple[tuple[Event, ...], ...]:
     """Pushes and pulls of each flight, settled when the simulated speeds are."""
     signals = data.flights.signals
     speeds = spools_of(signals.outputs)
@@ -184,7 +144,7 @@ def events_of(data: GapData) -> tuple[tuple[Event, ...], ...]:
     return tuple(tuple(find_events(_log(data, f), config)) for f in range(len(data.names)))
 
 
-def _log(data: GapData, f: int) -> Log:
+def _log(data: Record, f: int) -> Log:
     flights, n = data.flights, int(data.flights.lengths[f])
     signals = flights.signals
     channels = {signals.driver: flights.u[f, :n, signals.u(signals.driver)]}
@@ -192,7 +152,7 @@ def _log(data: GapData, f: int) -> Log:
     return Log(data.names[f], np.arange(n, dtype=np.float64) * signals.dt_s, channels)
 
 
-def check_excitation(data: GapData, events: Sequence[Sequence[Event]]) -> None:
+def check_excitation(data: Record, events: Sequence[Sequence[Event]]) -> None:
     """Raise `DataError`, saying what is missing, for fewer than three pushes or three pulls."""
     labels = [event.label for flight in events for event in flight]
     found = {"pushes": labels.count(PUSH), "pulls": labels.count(PULL)}
@@ -229,7 +189,7 @@ class Bins:
     regimes: Regimes
 
 
-def sort_samples(data: GapData, events: Sequence[Sequence[Event]]) -> Bins:
+def sort_samples(data: Record, events: Sequence[Sequence[Event]]) -> Bins:
     """Find direction, phase and regime of every sample."""
     flights = data.flights
     move = np.full(flights.u.shape[:2], -1)
@@ -257,7 +217,7 @@ def _phases(y: FloatArray, event: Event, span: float) -> IntArray:
     return phases
 
 
-def _regimes(data: GapData) -> Regimes:
+def _regimes(data: Record) -> Regimes:
     flights, signals = data.flights, data.flights.signals
     values = {"power": signals.power(flights.y)}
     for name, channel in (("altitude", "ALT_ft"), ("Mach", "Mach")):
@@ -285,9 +245,8 @@ def _combined(
     return labels, np.asarray(index).reshape(states[0].shape)
 
 
-def record_of(data: GapData) -> Record:
-    """The flights with their units: flights, or blocks of them where there are fewer than three."""
-    flights = data.flights
+def _units(flights: Flights) -> IntArray:
+    """Unit (flights, time) of every sample: flights, or blocks of them where there are few."""
     count, steps = flights.u.shape[:2]
     unit = np.full((count, steps), -1)
     start = 0
@@ -297,11 +256,10 @@ def record_of(data: GapData) -> Record:
             parts = int(np.clip(length * flights.signals.dt_s / _BLOCK_S, 2, _MOST))
         unit[f, :length] = start + np.arange(length) * parts // length
         start += parts
-    return Record(flights, data.real, data.noise, unit, _groups(flights), data.fast)
+    return unit
 
 
 def _groups(flights: Flights) -> tuple[int, ...]:
-    """Which logs are of one flight, and so of several engines: those flown alike."""
     signals = flights.signals
     if "ALT_ft" not in signals.active:
         return tuple(range(len(flights.u)))
@@ -312,8 +270,7 @@ def _groups(flights: Flights) -> tuple[int, ...]:
     )
 
 
-def phases_of(data: GapData) -> Phases:
-    """What moves in every sample: `push_transit` and the like."""
+def phases_of(data: Record) -> Phases:
     names = tuple("steady" if d == "steady" else f"{d}_{p}" for d, p in MOVES)
     return Phases(names, sort_samples(data, events_of(data)).move)
 
@@ -321,7 +278,7 @@ def phases_of(data: GapData) -> Phases:
 _HINT = "Record and simulate them with the channels and at the rate of the others"
 
 
-def in_terms_of(data: GapData, other: GapData) -> GapData:
+def in_terms_of(data: Record, other: Record) -> Record:
     """`other` with the signals of `data`.
 
     An input that `other` lacks and that never changes in `data` has its value there. Raises
@@ -360,26 +317,16 @@ def together(first: Flights, others: Flights) -> Flights:
         np.concatenate([_lengthened(part, longest) for part in parts])
         for parts in ((first.u, others.u), (first.y, others.y))
     )
-    mine = first.signals
-    lever = u[..., mine.u(mine.driver)]
-    moving = np.ptp(u, axis=(0, 1)) > _STILL * np.maximum(np.abs(u).max(axis=(0, 1)), _STILL)
-    signals = replace(
-        mine,
-        low=y.min(axis=(0, 1)),
-        high=y.max(axis=(0, 1)),
-        lever=(float(lever.min()), float(lever.max())),
-        active=tuple(np.array(mine.inputs)[moving].tolist()),
-    )
+    signals = _in_ranges(first.signals, *(each.reshape(-1, each.shape[2]) for each in (u, y)))
     return Flights(signals, u, y, np.concatenate([first.lengths, others.lengths]))
 
 
 def _lengthened(rows: FloatArray, longest: int) -> FloatArray:
-    """Rows (flights, time, ...) filled up with their last."""
     rest = np.repeat(rows[:, -1:], longest - rows.shape[1], axis=1)
     return np.concatenate([rows, rest], axis=1)
 
 
-def _input(data: GapData, other: GapData, name: str) -> FloatArray:
+def _input(data: Record, other: Record, name: str) -> FloatArray:
     """The input (flights, time) of the other flights, or what it is throughout the diagnosed."""
     mine, theirs = data.flights, other.flights
     if name in theirs.signals.inputs:
@@ -389,5 +336,5 @@ def _input(data: GapData, other: GapData, name: str) -> FloatArray:
     return np.full(theirs.u.shape[:2], np.median(mine.u[..., mine.signals.u(name)]))
 
 
-def _lacking(other: GapData, name: str) -> DataError:
+def _lacking(other: Record, name: str) -> DataError:
     return DataError("the held-out flights lack it", file=other.names[0], channel=name, hint=_HINT)

@@ -28,7 +28,6 @@ from training.records import Split
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Study all flights of the folder."""
     parser = argparse.ArgumentParser(
         prog="python -m eval.diagnosis.flights_study", description=__doc__
     )
@@ -61,7 +60,6 @@ def study(config: RunConfig, base: Path) -> Iterator[str]:
 def simulated_pairs(
     config: RunConfig, base: Path, train: Sequence[Log], test: Sequence[Log]
 ) -> list[Pair]:
-    """Each engine's log of `test` with what a calibration of `train` says of its inputs."""
     simulate = simulate_by(calibrate(config, base, Split(tuple(train), (), ())).calibration)
     return [
         pair_logs(log.source.engine or log.name, log, simulated_log(log, simulate)) for log in test

@@ -15,7 +15,7 @@ from data_prep.cleaning.clean import clean
 from data_prep.log import Finding, Log
 from data_prep.prepare import prepare
 from data_prep.reading import read_logs
-from eval.diagnosis.flights import batch, record_of
+from eval.diagnosis.flights import batch
 from eval.diagnosis.pairs import Pair, alike, pair_logs, simulated_log, with_known_inputs
 from eval.diagnosis.simulators import simulate_by
 from eval.run_logs import run_config
@@ -34,29 +34,6 @@ from training.records import split_logs
 
 LEARNED: Final = "discrepancy.json"  # in a run folder
 _FOLDS: Final = 3  # at most: each is a training
-
-
-def left_out_pairs(bundle: Bundle, jobs: int = -1) -> list[Pair]:
-    """Pair every training flight of a run with what a model of the others says of it.
-
-    Up to three models, each without every third flight; of a single flight each half stands for
-    one. Raises `DataError` where the training logs are not at hand any more.
-    """
-    config, _ = run_config(bundle)
-    base = Path(bundle.record.base)
-    raw = split_logs(read_logs(config.logs.resolve(base), config.logs), config.split).train
-    known = bundle.record.data
-    for log in raw:
-        if known.get(log.source.file, log.source.sha256) != log.source.sha256:
-            raise DataError("is not the file that the run was trained on", file=log.source.file)
-    screening, faults = bundle.record.screening, dict[str, list[Finding]]()
-    for row in () if screening is None else screening.findings:
-        each = Finding.from_row(row)
-        faults.setdefault(each.log, []).append(each)
-    pairs: list[Pair] = []
-    for found in run_plans(_plans(raw, config, faults), config, base, _pairs, jobs):
-        pairs += found
-    return alike(pairs)
 
 
 def _plans(
@@ -106,7 +83,6 @@ def _half(prepared: dict[str, Log], recorded: dict[str, Log], number: int) -> Pl
 
 
 def _pairs(bundle: Bundle, plan: Plan) -> list[Pair]:
-    """What a model says of the flights that it is without."""
     simulate = simulate_by(bundle.calibration)
     found = []
     for part in plan.test:
@@ -115,13 +91,26 @@ def _pairs(bundle: Bundle, plan: Plan) -> list[Pair]:
     return found
 
 
-def learn_left_out(run: Path, *, trust: bool = False, jobs: int = -1) -> Discrepancy:
+def learn_left_out(run: Path, *, trust: bool = False) -> Discrepancy:
     """Learn from a run's own training flights by models without them.
 
-    Of a single flight halves stand for flights, and count as one. Raises `DataError` where the
-    training logs are not at hand, and as the training.
+    Up to three models, each without every third flight; of a single flight halves stand for
+    flights, and count as one. Raises `DataError` where the training logs are not at hand, and as
+    the training.
     """
-    pairs = left_out_pairs(load_bundle(run, trust=trust), jobs)
+    bundle = load_bundle(run, trust=trust)
+    config, base = run_config(bundle)[0], Path(bundle.record.base)
+    raw = split_logs(read_logs(config.logs.resolve(base), config.logs), config.split).train
+    known = bundle.record.data
+    for log in raw:
+        if known.get(log.source.file, log.source.sha256) != log.source.sha256:
+            raise DataError("is not the file that the run was trained on", file=log.source.file)
+    screening, faults = bundle.record.screening, dict[str, list[Finding]]()
+    for row in () if screening is None else screening.findings:
+        each = Finding.from_row(row)
+        faults.setdefault(each.log, []).append(each)
+    plans = _plans(raw, config, faults)
+    pairs = alike([pair for some in run_plans(plans, config, base, _pairs, -1) for pair in some])
     found = learned_from(pairs)
     if len({pair.name.partition("[")[0].partition(":")[0] for pair in pairs}) == 1:
         found = replace(found, flights=1)
@@ -129,11 +118,9 @@ def learn_left_out(run: Path, *, trust: bool = False, jobs: int = -1) -> Discrep
 
 
 def learned_from(pairs: Sequence[Pair]) -> Discrepancy:
-    """What a simulator gets wrong in flights that it was not identified on."""
-    data = batch(pairs)
-    record = record_of(data)
-    emulator = choose_control(fit_emulators(data.flights), record)
-    return learn(record, Dictionary(hypotheses(data.flights.signals), data.flights, emulator))
+    record = batch(pairs)
+    emulator = choose_control(fit_emulators(record.flights), record)
+    return learn(record, Dictionary(hypotheses(record.flights.signals), record.flights, emulator))
 
 
 def keep_learned(found: Discrepancy, run: Path) -> None:

@@ -9,18 +9,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-
 from eval.diagnosis import pictures
 from eval.diagnosis.document import Evidence
-from eval.diagnosis.drawings import drawing
+from eval.diagnosis.flights import MOVES
 from eval.diagnosis.words import (
     VERDICTS,
     Row,
     cause_words,
     is_sure,
-    listed,
     next_flights,
     outcome,
     parameter_words,
@@ -29,26 +25,19 @@ from eval.diagnosis.words import (
 )
 from eval.report import style
 from eval.report.page import RunHeader, render
-from eval.report.style import Picture, number, picture
-from eval.report.tables import Cell, Table, figure
+from eval.report.style import Picture, number
+from eval.report.tables import Cell, Table, plain
+from eval.report.tables import row as line
 from narxcal.channels import symbol
 from narxcal.effects.library import effect, name_of
 from narxcal.support.interrupt import is_interrupt
-from training.diagnosis.budget import Interval
 
-_OTHERS: Final = {
-    "build": style.MASK,
-    "offsets": "#8c959f",
-    "noise": "#f0f2f5",
-    "unexplained": "#24292f",
-}
 _SHOWN: Final = 8  # effects that are not claimed, in the terminal
-_LEAST: Final = 0.02  # of a bar: a part that a number fits into
 _MOST_DRAWN: Final = 4
 
 
 class Drawn(NamedTuple):
-    """An effect drawn as an engineer draws it, and what it stands for."""
+    """What an effect changes, and how it stands."""
 
     name: str
     standing: str
@@ -59,15 +48,13 @@ class Drawn(NamedTuple):
 def budget_table(document: Row) -> Table:
     """One row per cause: share of the whole gap with its interval, and how probable."""
     rows = tuple(
-        (
-            Cell(cause_words(row["cause"]), "head"),
-            Cell(percent(row["share"]), number=True),
-            Cell(f"{percent(row['low'])} to {percent(row['high'])}", number=True),
-            *(Cell(percent(value), number=True) for value in row["channels"].values()),
-            Cell("" if row["probability"] is None else percent(row["probability"]), number=True),
-            Cell(" or ".join(row["credible_set"][1:])),
+        line(
+            cause,
+            *map(plain, (*numbers, *map(percent, row["channels"].values()), probability)),
+            " or ".join(row["credible_set"][1:]),
         )
         for row in document["budget"]
+        for cause, *numbers, probability in [_cause(row)]
     )
     channels = document["budget"][0]["channels"] if document["budget"] else ()
     head = (
@@ -75,6 +62,13 @@ def budget_table(document: Row) -> Table:
         "or as well",
     )  # fmt: skip
     return Table("Shares of the energy of the whole gap; they add up to 100 %", head, rows)
+
+
+def _cause(row: Row) -> list[str]:
+    """Words of a cause, its share, interval and probability."""
+    ends = f"{percent(row['low'])} to {percent(row['high'])}"
+    chance = "" if row["probability"] is None else percent(row["probability"])
+    return [cause_words(row["cause"]), percent(row["share"]), ends, chance]
 
 
 def sizes_table(document: Row) -> Table:
@@ -87,104 +81,76 @@ def sizes_table(document: Row) -> Table:
         first, size = next(iter(row["parameters"].items()))
         least = row["nameable"]
         unit = "" if size["unit"] == "-" else f" {size['unit']}"
-        rows.append(
-            (
-                Cell(name_of(row), "head"),
-                Cell(percent(row["probability"]), number=True),
-                Cell(f"{parameter_words(first)} {size_words(size)}"),
-                Cell("" if least is None else f"{number(least)}{unit}", number=True),
-            )
-        )
+        words = f"{parameter_words(first)} {size_words(size)}"
+        smallest = "" if least is None else f"{number(least)}{unit}"
+        rows.append(line(name_of(row), plain(percent(row["probability"])), words, plain(smallest)))
     head = ("effect", "probability", "if it acts", "least size that could be named")
     return Table("Effects that are not named", head, tuple(rows))
 
 
 def console_tables(document: Row) -> Iterator[tuple[str, Sequence[str], list[list[str]]]]:
     """The same tables as text, narrow enough for a terminal."""
-    rows = [
-        [
-            cause_words(row["cause"]).partition(" (")[0],
-            percent(row["share"]),
-            f"{percent(row['low'])} to {percent(row['high'])}",
-            "" if row["probability"] is None else percent(row["probability"]),
-        ]
-        for row in document["budget"]
-    ]
+    rows = [[c.partition(" (")[0], *rest] for c, *rest in map(_cause, document["budget"])]
     yield "Where the gap's energy comes from", ("cause", "share", "interval", "probability"), rows
     table = sizes_table(document)
     short = [[cell.text for cell in row] for row in table.rows[:_SHOWN]]
     yield table.caption, ("effect", "probability", "if it acts", "least nameable"), short
 
 
-def budget_picture(document: Row) -> Picture | None:
-    """Bars of the whole gap, of each channel and of each phase, divided by cause; None without."""
-    rows = document["budget"]
-    if not rows or sum(row["share"] for row in rows) <= 0.0:
-        return None
-    names = listed([cause_words(row["cause"]) for row in rows])
-    caption = "Squared gap, each channel over its range squared; 1 is the whole gap."
-    alt = f"Shares of {names} in the gap, by channel and by phase"
-    return picture(budget_figure(rows), alt, caption)
+def phase_table(document: Row) -> Table:
+    """Channel against direction and phase; no rows where no part of the gap is above the noise."""
+    found = {(r["channel"], r["direction"], r["phase"]): r for r in document["where"]}
+    rows = [
+        line(symbol(channel), *(_bin(found.get((channel, *move))) for move in MOVES))
+        for channel in _channels(document)
+    ]
+    head = ("channel", "steady", *(" ".join(move) for move in MOVES[1:]))
+    caption = (
+        "Share of the gap's energy above the noise floor, with its 90 % interval. Bold: the fewest "
+        "cells that hold 70 %. Initiation is up to 10 % of the response, transit up to 90 %, "
+        "settling the rest of the event"
+    )
+    return Table(caption, head, tuple(rows))
 
 
-def budget_figure(rows: Sequence[Row]) -> Figure:
-    """The same as a matplotlib figure, from the rows of `budget`."""
-    drawn = style.figure(10.0, 0.9 + 0.3 * len(_bars(rows)))
-    draw_budget(drawn.add_subplot(), rows)
-    return drawn
+def _bin(row: Row | None) -> Cell:
+    if row is None:
+        return Cell("")
+    text = f"{percent(row['share'])} ({100 * row['low']:.0f} to {100 * row['high']:.0f})"
+    return Cell(text, "strong" if row["core"] else "", number=True, level=row["share"])
 
 
-def _bars(rows: Sequence[Row]) -> dict[str, list[float]]:
-    """Label of each bar, and its shares in the order of `rows`."""
-    bars = {"whole gap": [row["share"] for row in rows]}
-    bars |= {symbol(c): [row["channels"][c] for row in rows] for c in rows[0]["channels"]}
-    return bars | {
-        phase.replace("_", ", "): [row["phases"][phase] for row in rows]
-        for phase in rows[0]["phases"]
-        if sum(row["phases"][phase] for row in rows) > 0.0
-    }
+def regime_table(document: Row) -> Table:
+    """Channel against the levels of altitude, Mach, power and bleed."""
+    shares: dict[str, dict[str, float]] = {}
+    for row in document["where"]:
+        for regime, levels in row["regime_shares"].items():
+            for level, part in levels.items():
+                cells = shares.setdefault(f"{regime} {level}", {})
+                cells[row["channel"]] = cells.get(row["channel"], 0.0) + part * row["share"]
+    channels = _channels(document) if shares else []
+    parts = {name: [each.get(name, 0.0) for each in shares.values()] for name in channels}
+    rows = [
+        line(symbol(name), *(Cell(percent(part), number=True, level=part) for part in own))
+        for name, own in parts.items()
+    ]
+    caption = (
+        "The same energy by regime; the levels of each add up to the whole. Altitude low is below "
+        "10 000 ft, high from 25 000 ft; Mach low below 0.3, high from 0.6; power by thirds"
+    )
+    return Table(caption, ("channel", *shares), tuple(rows))
 
 
-def draw_budget(axes: Axes, rows: Sequence[Row]) -> None:
-    """Draw the bars of `budget_figure` on given axes."""
-    effects = [row["cause"] for row in rows if row["cause"] not in _OTHERS]
-    colours = dict(zip(effects, style.CYCLE * (1 + len(effects) // len(style.CYCLE)), strict=False))
-    bars = _bars(rows)
-    for place, (label, shares) in enumerate(bars.items()):
-        _bar(axes, place, shares, [{**_OTHERS, **colours}[row["cause"]] for row in rows])
-        axes.text(-0.01, place, label, ha="right", va="center", fontsize=8)
-    for row in rows:
-        colour = {**_OTHERS, **colours}[row["cause"]]
-        axes.barh(
-            -1, 0.0, color=colour, edgecolor="#8c959f", lw=0.4, label=cause_words(row["cause"])
-        )
-    axes.set(ylim=(len(bars) - 0.4, -0.6), xlim=(0.0, 1.0), yticks=())
-    axes.set_xlabel("share of the energy of the whole gap")
-    style.dress(axes, grid="x")
-    style.legend(axes, columns=3)
-
-
-def _bar(axes: Axes, place: int, shares: Sequence[float], colours: Sequence[str]) -> None:
-    left = 0.0
-    for share, colour in zip(shares, colours, strict=True):
-        width = max(share, 0.0)
-        axes.barh(place, width, left=left, color=colour, edgecolor="white", lw=0.5, height=0.7)
-        if width >= _LEAST:
-            ink = "white" if colour in ("#24292f", *style.CYCLE[:3]) else "#24292f"
-            text = f"{100.0 * width:.0f}"
-            axes.text(
-                left + 0.5 * width, place, text, ha="center", va="center", fontsize=7, color=ink
-            )
-        left += width
+def _channels(document: Row) -> list[str]:
+    """All channels in the order in which they were diagnosed; none where there is no gap."""
+    there = any(row["share"] > 0.0 for row in document["where"])
+    return list(document["quality"]["channels"]) if there else []
 
 
 def shrink_table(document: Row) -> Table:
     """RMS of the gap per channel before and after the named effects are added, and the noise."""
     rows = tuple(
-        (
-            Cell(style.with_unit(name), "head"),
-            *(figure(one[k]) for k in ("before", "after", "floor")),
-        )
+        line(style.with_unit(name), *(one[k] for k in ("before", "after", "floor")))
         for name, one in document["shrink"]["channels"].items()
     )
     caption = f"RMS of recorded less simulated, on {document['shrink']['on']}"
@@ -218,20 +184,17 @@ def budget_page(document: Row, evidence: Evidence, created: str = "") -> Page:
     named = document["verdict"]["effects"]
     shown = own if held is None else held
     parts = {
-        "budget": drawn("the budget", budget_picture, document),
-        "where": [
-            drawn("the map of phases", pictures.phase_map, document),
-            drawn("the map of regimes", pictures.regime_map, document),
-        ],
+        "budget": drawn("the budget", pictures.budget_picture, document),
+        "where": [phase_table(document), regime_table(document)],
         "overlays": [
             drawn("the largest event", pictures.event_picture, shown),
             drawn("the gap over a flight", pictures.flight_picture, shown),
         ],
         "drawn": [
             Drawn(name, standing, name in named and is_sure(document, [name]), picture)
-            for name, standing, sizes in shown_effects(document)
+            for name, standing, row in shown_effects(document)
             if effect(name).applies(evidence.data.flights.signals)
-            and (picture := drawn(name, drawing, effect(name), sizes, own.data.flights.signals))
+            and (picture := drawn(name, pictures.effect_picture, evidence, row))
         ],
     }
     said = outcome(document)
@@ -251,33 +214,18 @@ def budget_page(document: Row, evidence: Evidence, created: str = "") -> Page:
     return Page(html, tuple(failed))
 
 
-def shown_effects(document: Row) -> list[tuple[str, str, dict[str, Interval]]]:
-    """Effects to draw, how each stands, and its sizes: claimed ones and what may be instead.
+def shown_effects(document: Row) -> list[tuple[str, str, Row]]:
+    """Effects to draw, how each stands, and its row: claimed ones and what may be instead.
 
     Where nothing is claimed though the gap is real, the best candidate.
     """
-    verdict = document["verdict"]
-    rows = {name_of(row): row for row in document["effects"]}
-    standings = {
-        name: f"claimed, {percent(rows[name]['probability'])} probable"
-        for name in verdict["effects"]
-        if name in rows
-    }
+    verdict, rows = document["verdict"], {name_of(row): row for row in document["effects"]}
+    known = [name for name in verdict["effects"] if name in rows]
+    standings = {n: f"claimed, {percent(rows[n]['probability'])} probable" for n in known}
     standings |= dict.fromkeys(verdict["ambiguous_with"], "may be instead")
     if verdict["kind"] == "unknown" and rows:
         standings = {next(iter(rows)): "best candidate, not claimed"}
-    found = [
-        (
-            name,
-            standing,
-            {
-                key: Interval(each["value"], each["low"], each["high"])
-                for key, each in rows[name]["parameters"].items()
-            },
-        )
-        for name, standing in standings.items()
-        if name in rows
-    ]
+    found = [(name, standing, rows[name]) for name, standing in standings.items() if name in rows]
     return found[:_MOST_DRAWN]
 
 

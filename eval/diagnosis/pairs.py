@@ -83,7 +83,6 @@ def read_folder(folder: Path, config: RunConfig | None = None) -> dict[str, Log]
 
 
 def log_name(file: Path, engine: str) -> str:
-    """The name of an engine's log of a file."""
     return _stem(file) + (f"_{engine}" if engine else "")
 
 
@@ -483,7 +482,6 @@ def alike(pairs: Sequence[Pair]) -> list[Pair]:
 
 
 def _lost(pairs: Sequence[Pair], kept: Sequence[str]) -> dict[str, str]:
-    """Channels that not all pairs have: channel -> which flight lacks them."""
     has = [(pair.name, (*pair.inputs, *pair.sim)) for pair in pairs]
     some = {name for _, names in has for name in names if name not in kept}
     return {

@@ -31,7 +31,7 @@ from eval.diagnosis.applied import EMULATOR, gap_document, read_emulator, signal
 from narxcal.effects.base import Effect, Signals
 from narxcal.effects.library import effect, name_of
 from narxcal.effects.running import Flights, response
-from narxcal.effects.steady import UNLOGGED, UnloggedSwitch
+from narxcal.effects.steady import UNLOGGED, UNLOGGED_SWITCH
 from narxcal.flight_test.moves import moves
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError
@@ -59,7 +59,6 @@ class Hypothesis:
 
     @property
     def name(self) -> str:
-        """That of the effect."""
         return "no effect" if self.effect is None else self.effect.name
 
 
@@ -144,7 +143,7 @@ def _hypotheses(document: Mapping[str, Any]) -> list[Hypothesis]:
     verdict, rows = document["verdict"], {}
     none = Hypothesis(None, np.zeros(0), np.zeros(0), float(verdict.get("none", 0.0)))
     for row in document["effects"]:
-        if row["id"] != UnloggedSwitch.id:
+        if row["id"] != UNLOGGED_SWITCH.id:
             rows[name_of(row)] = row
     names, also = [], []
     if verdict["kind"] == "ambiguous":
@@ -182,7 +181,6 @@ def simulated(open_: Undecided, inputs: Sequence[FloatArray]) -> Flights:
 
 
 def _inside(open_: Undecided, u: FloatArray) -> bool:
-    """Whether conditions (time, inputs) lie in what the simulator flew."""
     settled = open_.emulator.settled
     at = u[:, list(settled.conditions)]
     return bool(((at >= settled.low) & (at <= settled.high)).all())
@@ -263,7 +261,6 @@ class Columns:
 def _response(
     one: Hypothesis, theta: FloatArray, flights: Flights, emulator: GreyBoxEmulator
 ) -> FloatArray:
-    """What a hypothesis changes (moves, time, outputs); no effect changes nothing."""
     if one.effect is None:
         return np.zeros_like(flights.y)
     return response(one.effect, theta, flights, emulator)

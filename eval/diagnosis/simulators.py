@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from data_prep.log import Log
-from narxcal.calibration.bundle import DOCUMENT, load_bundle
+from narxcal.calibration.bundle import DOCUMENT, Bundle, load_bundle
 from narxcal.calibration.calibration import Calibration
 from narxcal.channels import CHANNELS
 from narxcal.effects.base import Pace
@@ -68,14 +68,17 @@ def open_function(reference: str) -> Simulate:
 
 
 class Simulator(NamedTuple):
-    """What was named: its kind in a word, and either a folder of its logs or a function."""
+    """What was named: its kind in a word, and either a folder of its logs or a function.
+
+    A run folder has its `bundle`.
+    """
 
     kind: str
     how: Path | Simulate
+    bundle: Bundle | None = None
 
     @property
     def again(self) -> Simulate | None:
-        """The function, None of a folder of logs."""
         return None if isinstance(self.how, Path) else self.how
 
 
@@ -104,8 +107,8 @@ def open_simulator(source: str, *, trust: bool = False) -> Simulator:
 
 
 def _of_run(folder: Path, trust: bool) -> Simulator:
-    calibration = load_bundle(folder, trust=trust).calibration
-    declared = [name for name in calibration.input_names if name not in CHANNELS]
+    bundle = load_bundle(folder, trust=trust)
+    declared = [name for name in bundle.calibration.input_names if name not in CHANNELS]
     if declared:
         raise ModelError(
             "an input of the run is a declared channel, and a diagnosis simulates from built-in "
@@ -114,7 +117,7 @@ def _of_run(folder: Path, trust: bool) -> Simulator:
             channel=declared[0],
             hint="Train a run without it in [steady_state] inputs",
         )
-    return Simulator("bundle", simulate_by(calibration))
+    return Simulator("bundle", simulate_by(bundle.calibration), bundle)
 
 
 def _virtual_engine(name: str) -> Simulate:
@@ -152,7 +155,6 @@ def simulate_by(calibration: Calibration) -> Simulate:
 
 
 def _fmu(path: Path) -> Simulate:
-    """Co-simulation of an FMU whose variables bear the names of channels."""
     description = read_description(path)
     names = {
         kind: [v.name for v in description.modelVariables if v.causality == kind]

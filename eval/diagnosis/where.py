@@ -14,13 +14,16 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from scipy.signal import csd, welch
 
 from data_prep.events import Event
-from eval.diagnosis.expected import TimeErrors, time_errors
-from eval.diagnosis.flights import MOVES, Bins, GapData, events_of, sort_samples
+from eval.diagnosis.expected import time_errors
+from eval.diagnosis.flights import MOVES, Bins, events_of, sort_samples
 from narxcal.support.arrays import FloatArray, bridge_gaps
 from training.diagnosis.budget import Interval
+from training.diagnosis.metric import Record
+from training.diagnosis.nuisances import steady_maps
 
 _ALONE = 0.6  # share of one channel from which on the others may just not have been hit
 
@@ -36,7 +39,7 @@ class Sides(NamedTuple):
 NOWHERE = Sides(0.0, 0.0, 0.0)
 
 
-def side_of(data: GapData, gap: FloatArray, channels: FloatArray) -> Sides:
+def side_of(data: Record, gap: FloatArray, channels: FloatArray) -> Sides:
     """Judge by evidence: `gap` (flights, time, outputs), `channels` (outputs,) shares of energy."""
     if channels.sum() <= 0.0:
         return NOWHERE
@@ -46,7 +49,7 @@ def side_of(data: GapData, gap: FloatArray, channels: FloatArray) -> Sides:
     return Sides(shifted, max(0.0, 1.0 - sensor - shifted), sensor)
 
 
-def _common_shift(data: GapData, gap: FloatArray) -> float:
+def _common_shift(data: Record, gap: FloatArray) -> float:
     """Part of the gap's energy that one shift in time of all channels explains."""
     scale = np.sqrt(data.variance)
     slope = -np.gradient(data.flights.y, data.flights.signals.dt_s, axis=1) / scale
@@ -63,7 +66,7 @@ def _common_shift(data: GapData, gap: FloatArray) -> float:
 
 CORE = 0.7  # the smallest set of bins that holds this share
 _DRAWS = 300
-_OFFSET, _SLOPE, _BEND = 0.03, 0.03, 0.06  # priors of the nuisances, as shares of a range
+_MAP = 0.03  # of a range: prior of a flight's steady map
 _SIGMAS = 3.0  # a bin's energy has to stand out of white noise's by this much
 _PARTS = 6  # of a flight, where there are too few flights to draw from
 _LISTED = 0.005  # of what effects do: a bin that has so much of it is listed without a gap there
@@ -101,13 +104,13 @@ class Where:
     excess: Mapping[str, float]
     theil: Mapping[str, Theil]
     bands: Mapping[str, tuple[Band, ...]]
-    times: Mapping[str, TimeErrors]
+    times: Mapping[str, pd.DataFrame]
     side: Sides
     events: tuple[tuple[Event, ...], ...]
     regimes: Mapping[str, Mapping[str, Interval]] = field(default_factory=dict)
 
 
-def locate(data: GapData, explained: FloatArray | None = None) -> Where:
+def locate(data: Record, explained: FloatArray | None = None) -> Where:
     """Say where the gap lies.
 
     `explained` (flights, time, outputs) is what effects change, zero for none: nuisances that fit
@@ -116,7 +119,7 @@ def locate(data: GapData, explained: FloatArray | None = None) -> Where:
     """
     events = events_of(data)
     bins = sort_samples(data, events)
-    gap = data.gap if explained is None else without_nuisances(data, explained)
+    gap = data.difference if explained is None else without_nuisances(data, explained)
     energy = _Energy(data, bins, gap)
     shares = energy.drawn()
     outputs = data.flights.signals.outputs
@@ -134,54 +137,35 @@ def locate(data: GapData, explained: FloatArray | None = None) -> Where:
     )
 
 
-def _explained(data: GapData, bins: Bins, change: FloatArray | None) -> FloatArray | None:
-    """Share (outputs, moves) of the energy of a `change` of the outputs; None where it is none."""
+def _explained(data: Record, bins: Bins, change: FloatArray | None) -> FloatArray | None:
     if change is None:
         return None
     energy = change**2 / data.variance
-    known = np.where(np.isfinite(data.gap), energy, 0.0)
+    known = np.where(np.isfinite(data.difference), energy, 0.0)
     parts = np.stack([known[bins.move == k].sum(axis=0) for k in range(len(MOVES))], axis=1)
     whole = float(parts.sum())
     return np.asarray(parts / whole) if whole > 0.0 else None
 
 
-def without_nuisances(data: GapData, explained: FloatArray) -> FloatArray:
-    """The gap (flights, time, outputs) less the offsets and skews that fit beside `explained`."""
-    known = np.isfinite(data.gap)
-    known &= (np.arange(data.gap.shape[1]) < data.flights.lengths[:, None])[..., None]
-    weights = known / data.variance
-    shapes, priors = _nuisances(data)
-    gram = np.einsum("fktn,ftn,fltn->fkl", shapes, weights, shapes, optimize=True)
-    inverse = np.linalg.inv(gram + np.diag(1.0 / priors**2))
-    left = np.where(known, data.gap, 0.0) - explained
-    on = np.einsum("ftn,fktn->fk", left * weights, shapes)
-    best = np.einsum("fkl,fl->fk", inverse, on)
-    kept = left - np.einsum("fk,fktn->ftn", best, shapes) + explained
-    return np.where(np.isfinite(data.gap), kept, np.nan)
+def without_nuisances(data: Record, explained: FloatArray) -> FloatArray:
+    """The gap (flights, time, outputs) less maps of power per flight that fit beside `explained`.
 
-
-def _nuisances(data: GapData) -> tuple[FloatArray, FloatArray]:
-    """Maps of power per output (flights, k, time, outputs), and the priors' deviations (k,)."""
-    y, span = data.flights.y, data.span
-    power = data.flights.signals.power(y)
-    shapes, priors = [], []
-    for c in range(y.shape[2]):
-        for shape, share in zip(
-            (np.ones_like(power), power - 0.5, (power - 0.5) ** 2 - 1.0 / 12.0),
-            (_OFFSET, _SLOPE, _BEND),
-            strict=True,
-        ):
-            one = np.zeros_like(y)
-            one[..., c] = shape
-            shapes.append(one)
-            priors.append(share * span[c])
-    return np.stack(shapes, axis=1), np.array(priors)
+    Their prior is 3 % of a channel's range.
+    """
+    known = np.isfinite(data.difference)
+    columns = np.swapaxes(steady_maps(data.flights, _MAP * data.span), 0, 1)
+    weighted = columns * (known / data.variance)[:, None]
+    gram = np.einsum("fktn,fltn->fkl", weighted, columns, optimize=True)
+    left = np.where(known, data.difference - explained, 0.0)
+    on = np.einsum("fktn,ftn->fk", weighted, left)
+    best = np.linalg.solve(gram + np.eye(columns.shape[1]), on[..., None])[..., 0]
+    return np.asarray(data.difference - np.einsum("fk,fktn->ftn", best, columns))
 
 
 class _Energy:
     """Energies (units, outputs, moves) above what noise gives, and the latter's spread."""
 
-    def __init__(self, data: GapData, bins: Bins, gap: FloatArray) -> None:
+    def __init__(self, data: Record, bins: Bins, gap: FloatArray) -> None:
         self.bins = bins
         scale = np.sqrt(data.variance)
         self.floor = (data.noise / scale) ** 2
@@ -243,7 +227,7 @@ class _Energy:
         return found
 
 
-def _units(data: GapData) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
+def _units(data: Record) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
     """What is drawn in the bootstrap, (flights, time): flights, or parts of too few of them."""
     count, steps = data.flights.u.shape[:2]
     flight = np.repeat(np.arange(count)[:, None], steps, axis=1)
@@ -310,12 +294,12 @@ class Band(NamedTuple):
     high: float = 1.0
 
 
-def bands_of(data: GapData, gap: FloatArray | None = None) -> dict[str, tuple[Band, ...]]:
+def bands_of(data: Record, gap: FloatArray | None = None) -> dict[str, tuple[Band, ...]]:
     """Bands of every output, from Welch's spectra averaged over all flights.
 
     `gap` (flights, time, outputs) takes the place of recorded less simulated.
     """
-    gap = data.gap if gap is None else gap
+    gap = data.difference if gap is None else gap
     spectra = _Spectra(data)
     return {
         name: spectra.bands(gap[..., k], float(data.noise[k]))
@@ -324,7 +308,7 @@ def bands_of(data: GapData, gap: FloatArray | None = None) -> dict[str, tuple[Ba
 
 
 class _Spectra:
-    def __init__(self, data: GapData) -> None:
+    def __init__(self, data: Record) -> None:
         self.lengths = data.flights.lengths
         self.weights = _drawn(len(self.lengths))
         self.rate_hz = 1.0 / data.flights.signals.dt_s
@@ -397,7 +381,7 @@ def theil(real: FloatArray, sim: FloatArray) -> Theil:
     return Theil(bias, variance, 1.0 - bias - variance, float(np.sqrt(mean_square)) / size)
 
 
-def theil_of(data: GapData) -> dict[str, Theil]:
+def theil_of(data: Record) -> dict[str, Theil]:
     """Theil's split of every output, over all flights as one series."""
     sim = np.where(np.isfinite(data.real), data.flights.y, np.nan)
     return {

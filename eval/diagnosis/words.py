@@ -10,7 +10,7 @@ from eval.judging.outcome import Outcome
 from eval.report.style import number
 from narxcal.channels import CHANNELS, symbol
 from narxcal.effects.library import effect, name_of
-from narxcal.effects.steady import SWITCHES, TakingEffect
+from narxcal.effects.steady import SWITCHES, TAKEN
 from narxcal.intervals import LEVEL
 
 NAMED: Final = {
@@ -36,7 +36,7 @@ _SHAPES: Final = {
     **{name: f"with {symbol(name)}" for name in SWITCHES},
 }
 _MEANINGS: Final = {
-    TakingEffect.taken.name: "acceleration lost over the range of EGT",
+    TAKEN.name: "acceleration lost over the range of EGT",
     "own_s": "the lag that the simulated channel has already",
 }
 _MOST_NAMED = 3
@@ -79,23 +79,11 @@ def parameter_words(name: str) -> str:
     return _MEANINGS.get(name, name)
 
 
-def is_nil(size: Size) -> bool:
-    """Whether a size may as well be nothing: its interval holds 0."""
-    low, high = size["low"], size["high"]
-    return low is not None and high is not None and low <= 0.0 <= high
-
-
-def sizes_words(row: Mapping[str, Any]) -> str:
-    """Every parameter of an effect with its interval: `tau_s 1.80 s (1.62 to 1.98); ...`."""
-    return "; ".join(
-        f"{parameter_words(name)} {size_words(size)}" for name, size in row["parameters"].items()
-    )
-
-
 def surest_words(row: Mapping[str, Any]) -> str:
-    """The same, but of sizes that may as well be nothing only their names.
+    """Every parameter of an effect with its interval: `tau_s 1.80 s (1.62 to 1.98); ...`.
 
-    A size at the very value at which it does nothing is left out.
+    Of sizes that may as well be nothing, their interval holding 0, only their names, unless all
+    are such. A size at the very value at which it does nothing is left out.
     """
     neutral = {one.name: one.neutral for one in effect(name_of(row)).fixed}
     found = {
@@ -103,22 +91,18 @@ def surest_words(row: Mapping[str, Any]) -> str:
         for name, size in row["parameters"].items()
         if size["value"] is None or size["value"] != neutral.get(name)
     } or row["parameters"]
-    nil = [name for name, size in found.items() if is_nil(size)]
-    if len(nil) == len(found):
-        return sizes_words({"parameters": found})
-    texts = [
-        f"{parameter_words(name)} {size_words(size)}"
-        for name, size in found.items()
-        if name not in nil
-    ]
+    nil = [name for name, size in found.items() if _holds_0(size["low"], size["high"])]
+    nil = [] if len(nil) == len(found) else nil
+    texts = [f"{parameter_words(n)} {size_words(found[n])}" for n in found if n not in nil]
     if nil:
-        names = (
-            listed([*map(parameter_words, nil)])
-            if len(nil) <= _MOST_NAMED
-            else f"{len(nil)} others"
-        )
-        texts.append(f"{names} may as well be 0")
+        names = [*map(parameter_words, nil)]
+        words = listed(names) if len(nil) <= _MOST_NAMED else f"{len(nil)} others"
+        texts.append(f"{words} may as well be 0")
     return "; ".join(texts)
+
+
+def _holds_0(low: float | None, high: float | None) -> bool:
+    return low is not None and high is not None and low <= 0.0 <= high
 
 
 def _text(size: Size, value: float | None) -> str:
@@ -143,7 +127,6 @@ def _plain(value: float, digits: int) -> str:
 
 
 def _printed(name: str) -> str:
-    """Unit as it is printed: `degC` -> `°C`."""
     return "" if name == "-" else name.replace("degC", "°C").replace("deg", "°")
 
 
@@ -197,12 +180,10 @@ def outcome(document: Row) -> Outcome:
 
 
 def is_sure(document: Row, names: Collection[str]) -> bool:
-    """Whether each of these effects is as probable as an interval is."""
     return all(row["probability"] >= LEVEL for row in document["effects"] if name_of(row) in names)
 
 
 def _events(shrink: Row) -> Iterator[str]:
-    """Errors of the response times before and after, where events could be read."""
     for name, times in shrink["times"].items():
         if times["events"]:
             text = ", ".join(
@@ -227,10 +208,8 @@ def next_flights(document: Row) -> list[tuple[str, str]]:
 
 
 def cause_words(name: str) -> str:
-    """A cause of the budget in words."""
     return NAMED[name] if name in NAMED else in_words(name)
 
 
 def percent(share: float) -> str:
-    """A share in whole percent."""
     return f"{100.0 * share:z.0f} %"

@@ -282,10 +282,10 @@ def events(
 
 def gap(found: Answer, *, ax: Axes | None = None) -> Axes:
     """Draw the budget of `narxcal.diagnose`: causes as shares of the gap, by channel and phase."""
-    from eval.diagnosis.page import draw_budget  # noqa: PLC0415 - loads the whole diagnosis
+    from eval.diagnosis.pictures import draw_budget  # noqa: PLC0415 - loads the whole diagnosis
 
     axes = _axes(ax, height=5.0)
-    draw_budget(axes, found.budget.rows())
+    draw_budget(axes, found.evidence.budget.rows())
     return axes
 
 

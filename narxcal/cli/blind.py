@@ -61,22 +61,18 @@ def add_options(parser: ArgumentParser) -> None:
 
 def _add_make(parser: ArgumentParser) -> None:
     parser.add_argument("--out", metavar="DIR", type=path, required=True, help="folder")
-    parser.add_argument("--cases", metavar="N", type=count, default=60, help="default 60")
-    parser.add_argument(
-        "--flights", metavar="N", type=count, default=6, help="of a case, default 6"
-    )
-    parser.add_argument("--held-out", metavar="N", type=count, default=2, help="more, default 2")
-    parser.add_argument(
-        "--duration",
-        metavar="S",
-        type=float,
-        default=480.0,
-        dest="duration_s",
-        help="of a flight, default 480",
-    )
-    parser.add_argument(
-        "--rate", metavar="HZ", type=float, default=32.0, dest="rate_hz", help="default 32"
-    )
+    for key, metavar, kind, of in (
+        ("cases", "N", count, ""),
+        ("flights", "N", count, "of a case, "),
+        ("held_out", "N", count, "more, "),
+        ("duration_s", "S", float, "of a flight, "),
+        ("rate_hz", "HZ", float, ""),
+    ):
+        default = BlindPlan.model_fields[key].default
+        parser.add_argument(
+            _PLANNED[key], metavar=metavar, type=kind, default=default, dest=key,
+            help=f"{of}default {default:g}",
+        )  # fmt: skip
     parser.add_argument("--style", choices=("line", "enriched", "both"), default="both")
     parser.add_argument(
         "--engine",

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from eval.diagnosis.applied import EMULATOR, write_emulator
-from eval.diagnosis.diagnose import Answer, Request, diagnose_folders, learn_folders, mapping_of
+from eval.diagnosis.diagnose import Answer, Request, diagnose_folders, learn_folders
 from eval.diagnosis.learned import LEARNED, keep_learned, learn_left_out
 from eval.diagnosis.page import budget_page, console_tables
 from eval.diagnosis.words import outcome
@@ -103,7 +103,7 @@ def write(folder: Path, found: Answer) -> dict[str, Any]:
     (folder / DOCUMENT).write_text(to_json(document), encoding="utf-8")
     atomic_write_text(folder / PAGE, page.html)
     (folder / EMULATOR).mkdir()
-    write_emulator(folder / EMULATOR, found.emulator)
+    write_emulator(folder / EMULATOR, found.evidence.emulator)
     return document
 
 
@@ -123,10 +123,7 @@ def _request(options: Namespace) -> Request:
             raise ConfigError(f"--{name} is required", hint="Name recorded and simulated flights")
     if options.heldout_sim is not None and options.heldout_real is None:
         raise ConfigError("--heldout-sim needs --heldout-real")
-    if options.config is None:
-        config = mapping_of(options.sim, trust=options.trust)
-    else:
-        config = read_config(options.config, None)[0]
+    config = None if options.config is None else read_config(options.config, None)[0]
     if options.build_tolerance is not None and options.build != "same":
         raise ConfigError("--build-tolerance needs --build same")
     build = 1.0 if options.build == "type" else options.build_tolerance or 0.0

@@ -14,11 +14,10 @@ gives to it.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import product
-from typing import ClassVar, Final, Literal, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
@@ -59,7 +58,6 @@ class Pace(NamedTuple):
 
 
 def as_simulated(batch: int) -> Pace:
-    """The simulator's own pace."""
     one, none = np.ones(batch), np.zeros(batch)
     return Pace(one, one, one, one, none, one, none, one, one, none, one, one, UNLIMITED * one)
 
@@ -142,7 +140,6 @@ class Signals:
         return _column(self.outputs, name, "output")
 
     def width(self, output: str) -> float:
-        """Range of an output in the simulator's logs, in its unit."""
         column = self.y(output)
         return float(self.high[column] - self.low[column])
 
@@ -178,7 +175,7 @@ def _column(names: Sequence[str], name: str, what: str) -> int:
 
 @dataclass(eq=False)
 class Run:
-    """A batch of whole runs with one effect.
+    """A batch of whole runs with one effect, on `channel` where it acts on one alone.
 
     `theta` (batch, parameters) is in the order of the effect's parameters, `u` (batch, time,
     inputs) are the inputs that reach the engine.
@@ -187,104 +184,144 @@ class Run:
     signals: Signals
     theta: FloatArray
     u: FloatArray
+    channel: str | None = None
 
 
-@dataclass(frozen=True)
-class Effect(ABC):
-    """Base of all effects: what it is called, what it is easily taken for, and its parameters.
+Hook = Callable[[Run, FloatArray], FloatArray]
+Terms = tuple[tuple[str, str], ...]
 
-    What separates it from the others of its `family` is the `manoeuvre`. An effect on one sensor
-    has a `channel`. `fixed` are the parameters that do not depend on the signals.
-    """
 
-    id: ClassVar[str]
-    family: ClassVar[str]
-    side: ClassVar[Side]
-    meaning: ClassVar[str]
-    manoeuvre: ClassVar[str]
-    fixed: ClassVar[tuple[Parameter, ...]] = ()
-    channel: str | None = field(default=None)
+def within_range(signals: Signals, shape: str, output: str) -> Parameter:
+    width = signals.width(output)
+    return Parameter(f"{shape}_{output}", unit(output), -width, width, 0.0, linear=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Effect:
+    """What an effect is called, what it is easily taken for, its parameters, and what it does.
+
+    What separates it from the others of its `family` is the `manoeuvre`. One that is `per_channel`
+    acts on its `channel` alone. `fixed` are the parameters that do not depend on the signals; a
+    shape has an `amplitude` for each of its terms; and what takes power, or gives less, has the
+    loss of acceleration that is `taken` under a control.
+
+    | hook, if it has it | gives |
+    |---|---|
+    | `bounds` | its parameters in the place of `fixed`, for signals and a channel |
+    | `acts` | whether it can act on signals, and on a channel |
+    | `starts` | parameters to begin with, in the place of all combinations of starts |
+    | `arrives` | what reaches the engine (batch, time) of its channel, or of what drives it |
+    | `shifts` | outputs (batch, time, outputs) with it, for those without: a delay commutes with an engine that does not change with time, so that no emulator is as exact |
+    | `pace` | the engine's pace against the simulator's, for theta (batch, parameters) |
+    | `reads` | what is read of its channel (batch, time), or of all outputs |
+    | `terms` | pairs (name of a shape, output that it moves), one per amplitude; none if not at hand |
+    | `shapes` | values (batch, time) of each shape for the simulator's own outputs; with `settled` they shift where the engine settles, else what is read |
+    """  # noqa: E501 - a table
+
+    id: str
+    family: str
+    side: Side
+    meaning: str
+    manoeuvre: str
+    fixed: tuple[Parameter, ...] = ()
+    channel: str | None = None
+    per_channel: bool = False
+    settled: bool = False
+    amplitude: Callable[[Signals, str, str], Parameter] = within_range
+    taken: Parameter | None = None
+    bounds: Callable[[Signals, str], tuple[Parameter, ...]] | None = None
+    acts: Callable[[Signals, str | None], bool] | None = None
+    starts: tuple[tuple[float, ...], ...] = ()
+    arrives: Hook | None = None
+    shifts: Hook | None = None
+    pace: Callable[[FloatArray, Signals], Pace] | None = None
+    reads: Hook | None = None
+    terms: Callable[[Signals], Terms] | None = None
+    shapes: Callable[[Run, FloatArray], Mapping[str, FloatArray]] | None = None
 
     @property
     def name(self) -> str:
         """`id`, or `id:channel`."""
         return self.id if self.channel is None else f"{self.id}:{self.channel}"
 
-    def parameters(self, signals: Signals) -> tuple[Parameter, ...]:  # noqa: ARG002 - bounds of some go with the range of a signal
-        """Parameters for runs of these signals."""
-        return self.fixed
+    @property
+    def on_rates(self) -> bool:
+        """Whether it acts on how fast the engine moves, and on nothing that has a shape."""
+        return self.pace is not None and self.terms is None
+
+    @property
+    def takes_power(self) -> bool:
+        """Whether it takes power from the core, whatever else it does."""
+        return self.taken is not None and self.pace is None
+
+    def of(self, channel: str) -> Effect:
+        return replace(self, channel=channel)
+
+    def parameters(self, signals: Signals) -> tuple[Parameter, ...]:
+        own = self.fixed if self.bounds is None else self.bounds(signals, self.channel or "")
+        sizes = [self.amplitude(signals, *term) for term in self._terms(signals)]
+        taken = [self.taken] if self.taken is not None and signals.governed else []
+        return (*own, *sizes, *taken)
 
     def nodes(self, signals: Signals) -> tuple[tuple[float, ...], ...]:
         """Parameters to begin with: all combinations of starts, 0 for linear ones."""
         choices = [(0.0,) if p.linear else p.starts for p in self.parameters(signals)]
-        return tuple(product(*choices))
+        return self.starts or tuple(product(*choices))
 
     def applies(self, signals: Signals) -> bool:
         """Whether the signals hold what the effect acts on."""
+        if self.acts is not None:
+            return self.acts(signals, self.channel)
+        if self.terms is not None:
+            return len(self.terms(signals)) > 0
         return self.channel is None or self.channel in signals.outputs
 
-
-class InputEffect(Effect):
-    """An effect on the inputs that reach the engine."""
-
-    @abstractmethod
     def on_input(self, run: Run, u: FloatArray) -> FloatArray:
         """Inputs (batch, time, inputs) that arrive of inputs `u`."""
+        if self.arrives is None:
+            return u
+        column = run.signals.u(self.channel or run.signals.driver)
+        return _with_column(u, column, self.arrives(run, u[..., column]))
 
+    def on_output(self, run: Run, y: FloatArray) -> FloatArray:
+        """Readings (batch, time, outputs) of outputs `y`."""
+        if self.terms is not None and not self.settled:
+            return y + self.total(run, y)
+        if self.reads is None or self.channel is None:
+            return y if self.reads is None else self.reads(run, y)
+        column = run.signals.y(self.channel)
+        return _with_column(y, column, self.reads(run, y[..., column]))
 
-class ShiftEffect(InputEffect):
-    """An input effect that may as well stand behind the engine.
+    def total(self, run: Run, y: FloatArray) -> FloatArray:
+        """Amplitudes times shapes, (batch, time, outputs)."""
+        shapes = {} if self.shapes is None else self.shapes(run, y)
+        found, amplitudes = np.zeros_like(y), run.theta[:, len(self.fixed) :]
+        for j, (shape, output) in enumerate(self._terms(run.signals)):
+            found[..., run.signals.y(output)] += amplitudes[:, j, None] * shapes[shape]
+        return found
 
-    A delay commutes with anything that does not change with time, so that the log of an engine
-    whose inputs are late is the log itself, late. No emulator is as exact.
-    """
-
-    @abstractmethod
-    def on_log(self, run: Run, y: FloatArray) -> FloatArray:
-        """Outputs (batch, time, outputs) with the effect, for the outputs `y` without it."""
-
-
-class SettledEffect(Effect):
-    """An effect on where the engine settles: it goes there as it goes anywhere."""
-
-    @abstractmethod
-    def settles(self, run: Run, y: FloatArray) -> FloatArray:
-        """Shift (batch, time, outputs) of where it settles, for the simulator's own outputs `y`."""
-
-
-class LoadEffect(Effect):
-    """An effect that takes power from the core, whatever else it does."""
-
-    @abstractmethod
     def loads(self, theta: FloatArray, signals: Signals) -> bool:
-        """Whether any of `theta` (batch, parameters) takes anything."""
+        return self.takes_power and signals.governed and bool((theta[:, -1] != 0.0).any())
 
-    @abstractmethod
     def load(self, run: Run, y: FloatArray) -> FloatArray:
         """What it takes (batch, time) in %/s of core speed at full speed and sea level.
 
-        `y` are the simulator's own outputs.
+        The loss times the shift of the temperature, as a share of its range.
         """
+        if not run.signals.governed:
+            return np.zeros(y.shape[:-1])
+        hot = run.signals.hot
+        share = self.total(run, y)[..., hot] / (run.signals.high[hot] - run.signals.low[hot])
+        return np.asarray(run.theta[:, -1:] * share)
+
+    def _terms(self, signals: Signals) -> Terms:
+        return () if self.terms is None else self.terms(signals)
 
 
-class PacedEffect(Effect):
-    """An effect that sets the engine to another pace, whatever else it does."""
-
-    @abstractmethod
-    def pace(self, theta: FloatArray, signals: Signals) -> Pace:
-        """Pace of the engine against the simulator, for `theta` (batch, parameters)."""
-
-
-class RateEffect(PacedEffect):
-    """An effect on how fast the engine moves."""
-
-
-class OutputEffect(Effect):
-    """An effect on what is read of the outputs."""
-
-    @abstractmethod
-    def on_output(self, run: Run, y: FloatArray) -> FloatArray:
-        """Readings (batch, time, outputs) of outputs `y`."""
+def _with_column(values: FloatArray, column: int, changed: FloatArray) -> FloatArray:
+    found = values.copy()
+    found[..., column] = changed
+    return found
 
 
 def unit(output: str) -> str:

@@ -5,91 +5,64 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from narxcal.effects import dynamic, signal_path, steady
 from narxcal.effects.base import Effect, Signals
-from narxcal.effects.dynamic import (
-    AccelDecelAsymmetry,
-    AccelLimit,
-    ActuatorLag,
-    AltitudeLag,
-    SpoolCoupling,
-    SpoolLag,
-)
-from narxcal.effects.signal_path import (
-    AIR_DATA,
-    AirDataBias,
-    AirDataDelay,
-    AirDataEffect,
-    AirDataFrozen,
-    DriverGain,
-    FlowmeterDynamics,
-    SensorBias,
-    SensorDrift,
-    SensorEffect,
-    SensorGain,
-    SensorLag,
-    ThrottleBacklash,
-    ThrottleBias,
-    ThrottleDelay,
-    ThrottleRateLimit,
-    TimeSkew,
-)
-from narxcal.effects.steady import (
-    BleedExtraction,
-    Deterioration,
-    HeatSoak,
-    IdleSchedule,
-    TemperatureEffect,
-    UnloggedSwitch,
-)
+from narxcal.effects.signal_path import AIR_DATA
 from narxcal.support.errors import ConfigError, did_you_mean
 
-ENGINE_WIDE: tuple[type[Effect], ...] = (
-    ThrottleBacklash,
-    ThrottleDelay,
-    ThrottleRateLimit,
-    ThrottleBias,
-    ActuatorLag,
-    SpoolLag,
-    AccelDecelAsymmetry,
-    AccelLimit,
-    AltitudeLag,
-    SpoolCoupling,
-    HeatSoak,
-    BleedExtraction,
-    UnloggedSwitch,
-    Deterioration,
-    TemperatureEffect,
-    IdleSchedule,
+ENGINE_WIDE = (
+    signal_path.THROTTLE_BACKLASH,
+    signal_path.THROTTLE_DELAY,
+    signal_path.THROTTLE_RATE_LIMIT,
+    signal_path.THROTTLE_BIAS,
+    dynamic.ACTUATOR_LAG,
+    dynamic.SPOOL_LAG,
+    dynamic.ACCEL_DECEL_ASYMMETRY,
+    dynamic.ACCEL_LIMIT,
+    dynamic.ALTITUDE_LAG,
+    dynamic.SPOOL_COUPLING,
+    steady.HEAT_SOAK,
+    steady.BLEED_EXTRACTION,
+    steady.UNLOGGED_SWITCH,
+    steady.DETERIORATION,
+    steady.TEMPERATURE_EFFECT,
+    steady.IDLE_SCHEDULE,
 )
-PER_CHANNEL: tuple[type[Effect], ...] = (SensorLag, SensorBias, SensorDrift, TimeSkew)
+PER_CHANNEL = (
+    signal_path.SENSOR_LAG,
+    signal_path.SENSOR_BIAS,
+    signal_path.SENSOR_DRIFT,
+    signal_path.TIME_SKEW,
+)
 # In no blind case: how often they are claimed wrongly is known, how often rightly is not.
-OF_AIR_DATA: tuple[type[Effect], ...] = (AirDataBias, AirDataDelay, AirDataFrozen)
-RARE: tuple[type[Effect], ...] = (DriverGain, SensorGain, *OF_AIR_DATA)
-ALL: tuple[type[Effect], ...] = (*ENGINE_WIDE, *PER_CHANNEL, FlowmeterDynamics, *RARE)
-LIBRARY: dict[str, type[Effect]] = {kind.id: kind for kind in ALL}
+OF_AIR_DATA = (
+    signal_path.AIR_DATA_BIAS,
+    signal_path.AIR_DATA_DELAY,
+    signal_path.AIR_DATA_FROZEN,
+)
+RARE = (signal_path.DRIVER_GAIN, signal_path.SENSOR_GAIN, *OF_AIR_DATA)
+LIBRARY: dict[str, Effect] = {
+    each.id: each for each in (*ENGINE_WIDE, *PER_CHANNEL, signal_path.FLOWMETER_DYNAMICS, *RARE)
+}
+# Where fuel is the driver there is no lever, and no control that limits anything.
+_OF_LEVER = ("throttle_backlash", "throttle_rate_limit", "throttle_bias", "accel_limit")
 
 
 def candidates(signals: Signals) -> tuple[Effect, ...]:
     """Every effect that can act on these signals, sensor effects once per output."""
-    wide = [kind() for kind in ENGINE_WIDE]
-    each = [kind(channel) for channel in signals.outputs for kind in PER_CHANNEL]
-    meter = [FlowmeterDynamics("FF_kgph")]
-    # A flow meter lags as any sensor does: of two that are one the more telling name stands.
-    return tuple(effect for effect in (*wide, *meter, *each) if effect.applies(signals))
+    each = [kind.of(channel) for channel in signals.outputs for kind in PER_CHANNEL]
+    meter = signal_path.FLOWMETER_DYNAMICS.of("FF_kgph")
+    return tuple(one for one in (*ENGINE_WIDE, meter, *each) if one.applies(signals))
 
 
 def hypotheses(signals: Signals) -> tuple[Effect, ...]:
-    """Every effect that a budget weighs: candidates, scales and air data, a flow meter's lag once.
-
-    Where fuel is the driver there is no lever, and no control that limits anything.
-    """
-    rare: list[Effect] = [DriverGain(), *(SensorGain(channel) for channel in signals.outputs)]
-    air = [kind(channel) for channel in AIR_DATA for kind in OF_AIR_DATA]
-    rare += [each for each in air if each.applies(signals)]
-    lever = (ThrottleBacklash, ThrottleRateLimit, ThrottleBias, AccelLimit)
-    left_out = (UnloggedSwitch, *(() if signals.governed else lever))
-    every = [each for each in (*candidates(signals), *rare) if not isinstance(each, left_out)]
-    return tuple(each for each in every if each.name != "sensor_lag:FF_kgph")
+    """Every effect that a budget weighs: candidates, scales and air data."""
+    gains = [signal_path.SENSOR_GAIN.of(channel) for channel in signals.outputs]
+    air = [kind.of(channel) for channel in AIR_DATA for kind in OF_AIR_DATA]
+    rare = [signal_path.DRIVER_GAIN, *gains, *(one for one in air if one.applies(signals))]
+    # A flow meter lags as any sensor does: of two that are one the more telling name stands.
+    left_out = ("unlogged_switch", "sensor_lag:FF_kgph", *(() if signals.governed else _OF_LEVER))
+    return tuple(one for one in (*candidates(signals), *rare) if one.name not in left_out)
 
 
 def name_of(row: Mapping[str, Any]) -> str:
@@ -102,7 +75,8 @@ def effect(name: str) -> Effect:
     kind, _, channel = name.partition(":")
     if kind not in LIBRARY:
         raise ConfigError(f"unknown effect '{kind}'", hint=did_you_mean(kind, LIBRARY, "Known:"))
-    if issubclass(LIBRARY[kind], (SensorEffect, AirDataEffect)) != bool(channel):
+    found = LIBRARY[kind]
+    if found.per_channel != bool(channel):
         wants = "needs a channel, as in sensor_lag:EGT_C" if not channel else "has no channel"
         raise ConfigError(f"effect '{kind}' {wants}")
-    return LIBRARY[kind](channel or None)
+    return found.of(channel) if channel else found

@@ -21,14 +21,8 @@ from numpy.typing import NDArray
 
 from narxcal.effects.base import (
     Effect,
-    InputEffect,
-    LoadEffect,
-    OutputEffect,
     Pace,
-    PacedEffect,
     Run,
-    SettledEffect,
-    ShiftEffect,
     Signals,
     as_simulated,
     together,
@@ -113,8 +107,8 @@ def respond(settings: Sequence[Setting], flights: Flights, emulator: Emulator | 
             raise ConfigError(f"effect '{name}' acts inside the engine: it needs an emulator")
         y = _moved(inner, flights, emulator, arrived(inner, flights.signals, flights.u[rows]))
     for effect, theta in spread:
-        if isinstance(effect, ShiftEffect):
-            y = effect.on_log(Run(flights.signals, theta, flights.u[rows]), y)
+        if effect.shifts is not None:
+            y = effect.shifts(Run(flights.signals, theta, flights.u[rows]), y)
     given = arrived(spread, flights.signals, flights.u[rows])
     return read(spread, flights.signals, given, y).reshape(batch, count, steps, -1)
 
@@ -128,21 +122,20 @@ def response(
 
 def _inside(setting: Setting, signals: Signals) -> bool:
     """Whether an engine with the effect has to be emulated."""
-    outside = isinstance(setting[0], InputEffect) and not isinstance(setting[0], ShiftEffect)
-    return outside or acts_inside(setting, signals)
+    return emulates_input(setting[0]) or acts_inside(setting, signals)
+
+
+def emulates_input(effect: Effect) -> bool:
+    """Whether it changes inputs in a way that the outputs alone do not tell."""
+    return effect.arrives is not None and effect.shifts is None
 
 
 def acts_inside(setting: Setting, signals: Signals) -> bool:
     """Whether an engine with the effect settles or moves otherwise at the same inputs."""
     effect, theta = setting
-    loaded = isinstance(effect, LoadEffect) and effect.loads(theta, signals)
-    return loaded or isinstance(effect, SettledEffect) or changes_pace(setting, signals)
-
-
-def changes_pace(setting: Setting, signals: Signals) -> bool:
-    """Whether an engine with the effect moves at any other pace than the simulator."""
-    effect, theta = setting
-    if not isinstance(effect, PacedEffect):
+    if effect.settled or effect.loads(theta, signals):
+        return True
+    if effect.pace is None:
         return False
     both = zip(effect.pace(theta, signals), as_simulated(len(theta)), strict=True)
     return any(bool((here != there).any()) for here, there in both)
@@ -151,16 +144,14 @@ def changes_pace(setting: Setting, signals: Signals) -> bool:
 def arrived(settings: Sequence[Setting], signals: Signals, u: FloatArray) -> FloatArray:
     """Inputs (batch, time, inputs) that reach the engine; `u` itself without input effects."""
     for effect, theta in settings:
-        if isinstance(effect, InputEffect):
-            u = effect.on_input(Run(signals, theta, u), u)
+        u = effect.on_input(Run(signals, theta, u, effect.channel), u)
     return u
 
 
 def read(settings: Sequence[Setting], signals: Signals, u: FloatArray, y: FloatArray) -> FloatArray:
     """Readings (batch, time, outputs) of outputs `y` of an engine with inputs `u`."""
     for effect, theta in settings:
-        if isinstance(effect, OutputEffect):
-            y = effect.on_output(Run(signals, theta, u), y)
+        y = effect.on_output(Run(signals, theta, u, effect.channel), y)
     return y
 
 
@@ -169,16 +160,12 @@ def _moved(
 ) -> FloatArray:
     """Add to the logs what the effects change in the emulator's free run."""
     rows = np.arange(len(settings[0][1])) % len(flights.u)
-    paces = [
-        effect.pace(theta, flights.signals)
-        for effect, theta in settings
-        if isinstance(effect, PacedEffect)
-    ]
+    paces = [each.pace(theta, flights.signals) for each, theta in settings if each.pace is not None]
     shift = _shift(settings, flights, given)
     if shift is not None:
         paces = paces or [as_simulated(len(rows))]
     pace = together(paces) if paces else None
-    if pace is None or any(isinstance(effect, InputEffect) for effect, _ in settings):
+    if pace is None or any(effect.arrives is not None for effect, _ in settings):
         changed = emulator.run(flights, given, pace, shift)
     else:
         changed = _each_once(flights, emulator, pace, shift)
@@ -190,8 +177,8 @@ def _shift(settings: Sequence[Setting], flights: Flights, given: FloatArray) -> 
     """Where the engine settles elsewhere and what loads it; None if no effect says so."""
     y = flights.y[np.arange(len(given)) % len(flights.u)]
     runs = [(effect, Run(flights.signals, theta, given)) for effect, theta in settings]
-    settled = [each.settles(run, y) for each, run in runs if isinstance(each, SettledEffect)]
-    loads = [each.load(run, y) for each, run in runs if isinstance(each, LoadEffect)]
+    settled = [each.total(run, y) for each, run in runs if each.settled]
+    loads = [each.load(run, y) for each, run in runs if each.takes_power]
     if not settled and not loads:
         return None
     return Shift(sum(settled, np.zeros_like(y)), sum(loads, np.zeros(y.shape[:2])))

@@ -11,7 +11,6 @@ import pandas as pd
 import pytest
 
 import narxcal
-from eval.diagnosis.diagnose import mapping_of
 from eval.diagnosis.learned import learn_left_out
 from eval.diagnosis.simulators import open_simulator
 from narxcal import load_bundle
@@ -131,7 +130,6 @@ def test_no_command_executes_what_a_run_names(planted, command, monkeypatch, cap
         load_bundle,
         narxcal.load_bundle,
         lambda run: open_simulator(str(run)),
-        lambda run: mapping_of(str(run)),
         learn_left_out,
     ],
 )

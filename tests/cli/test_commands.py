@@ -15,7 +15,7 @@ import pandas as pd
 import pytest
 
 from data_prep.reading import read_logs
-from eval.diagnosis.diagnose import Request, screening_by
+from eval.diagnosis.diagnose import screening_by
 from narxcal.calibration.bundle import load_bundle, save_bundle
 from narxcal.cli import main
 from narxcal.cli.prepare import file_names
@@ -494,7 +494,7 @@ def test_qtg_writes_a_guide_of_the_numbers_of_evaluate(project, narxcal, undrawn
 
 def test_flights_that_a_run_was_trained_on_make_a_diagnosis_undetermined(project):
     flights = project / "flights"
-    (doubt,) = screening_by(Request(flights, str(project / "run")), flights).doubts
+    (doubt,) = screening_by(load_bundle(project / "run"), flights).doubts
     assert doubt.startswith("the run was trained on samples of flight_1.csv, flight_2.csv: ")
 
 
@@ -509,5 +509,5 @@ def test_flights_that_a_run_was_trained_on_make_a_diagnosis_undetermined(project
 def test_a_misread_log_makes_a_diagnosis_undetermined(project, tmp_path, change, said):
     flight = pd.read_csv(project / "flights" / "flight_3.csv")
     flight.assign(**change(flight)).to_csv(tmp_path / "new.csv", index=False)
-    doubts = screening_by(Request(tmp_path, str(project / "run")), tmp_path).doubts
+    doubts = screening_by(load_bundle(project / "run"), tmp_path).doubts
     assert [each.partition(": ")[2][: len(said)] for each in doubts] == [said] * bool(said)

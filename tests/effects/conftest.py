@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from narxcal.effects import Flights, Signals, candidates
-from narxcal.effects.base import LoadEffect, OutputEffect, PacedEffect, RateEffect, as_simulated
-from narxcal.effects.signal_path import SensorEffect
+from narxcal.effects.base import as_simulated
 
 INPUTS = ("TRA_deg", "ALT_ft", "Mach", "dT_C", "Approach", "ECS", "NAI", "WAI", "unlogged")
 OUTPUTS = ("N1_pct", "N2_pct", "EGT_C", "FF_kgph")
@@ -114,7 +113,6 @@ U = levers()
 FLOWN = Engine().simulate(U, settled(U[:, 0]))
 SIGNALS = signals(U, FLOWN)
 ALL = candidates(SIGNALS)
-INSIDE = (PacedEffect, LoadEffect)
 
 
 def each(effects):
@@ -133,25 +131,25 @@ def linear(request):
     return request.param
 
 
-@each([e for e in ALL if isinstance(e, RateEffect)])
+@each([e for e in ALL if e.on_rates])
 def moving(request):
     """Every effect on rates alone."""
     return request.param
 
 
-@each([e for e in ALL if isinstance(e, OutputEffect) and not isinstance(e, INSIDE)])
+@each([e for e in ALL if e.side == "sensor" or (e.terms and not (e.settled or e.taken))])
 def reading(request):
     """Every effect on outputs alone."""
     return request.param
 
 
-@each([e for e in ALL if isinstance(e, LoadEffect)])
+@each([e for e in ALL if e.takes_power])
 def loading(request):
     """Every effect that takes power from the core."""
     return request.param
 
 
-@each([e for e in ALL if isinstance(e, SensorEffect)])
+@each([e for e in ALL if e.side == "sensor"])
 def sensor(request):
     """Every effect on one channel."""
     return request.param

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from narxcal.effects import Flights, effect, respond
-from narxcal.effects.base import LoadEffect, Run
+from narxcal.effects.base import Run
 
 
 def test_at_its_neutral_value_it_leaves_every_bit(acting, neutral, flights, engine):
@@ -35,7 +35,7 @@ def test_what_is_called_linear_is_linear(linear, sized, flights, engine):
     *moved, without = respond([(linear, thetas)], flights, engine)
     moved = np.array(moved) - without
     # A load slows the engine, and shapes that ride on its power with it: a second-order matter.
-    near = 1e-3 if isinstance(linear, LoadEffect) else 1e-9
+    near = 1e-3 if linear.takes_power else 1e-9
     np.testing.assert_allclose(moved[2], 0.3 * moved[0] - 2.0 * moved[1], atol=near)
 
 

@@ -121,41 +121,6 @@ def test_another_idle_and_another_pace_go_together(flights, engine):
     np.testing.assert_array_equal(both, swapped)
 
 
-def changed(name, theta, rate, air):
-    """The effect on four rates of one run, in plain numbers."""
-    n1, n2 = rate[0], rate[1]
-    if name == "spool_lag":
-        n1, n2 = n1 / theta, n2 / theta
-    elif name == "spool_coupling":
-        n1 = n1 / theta
-    elif name == "accel_decel_asymmetry":
-        n1, n2 = (r / theta if r > 0.0 else r for r in (n1, n2))
-    elif name == "altitude_lag":
-        n1, n2 = n1 * air**theta, n2 * air**theta
-    return [n1, n2, *rate[2:]]
-
-
-@pytest.mark.parametrize(
-    ("name", "theta"),
-    [
-        ("spool_lag", 1.7),
-        ("spool_coupling", 0.6),
-        ("accel_decel_asymmetry", 2.0),
-        ("altitude_lag", 0.7),
-    ],
-)
-def test_on_an_exact_emulator_a_rate_effect_is_the_engine_so_changed(name, theta, flights, engine):
-    others = [p.neutral for p in effect(name).parameters(flights.signals)[1:]]
-    found = respond([(effect(name), np.array([[theta, *others]]))], flights, engine)[0]
-    air = flights.signals.thin_air(flights.u)
-    for f in range(3):
-        y = flights.y[f, 0]
-        for k in range(120):
-            np.testing.assert_allclose(found[f, k], y, atol=1e-8)
-            rate = engine.rate(y, engine.drive(flights.u[f, k]))
-            y = y + DT * np.array(changed(name, theta, rate, air[f, k]))
-
-
 def test_effects_act_in_the_order_of_their_places(flights, engine):
     """However they are listed: lever, rotors, sensor."""
     settings = [

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from narxcal.effects.base import Effect, InputEffect, Parameter
+from narxcal.effects.base import Effect, Parameter
 from narxcal.effects.running import Emulator, Flights, respond
 from narxcal.support.arrays import BoolArray, FloatArray
 
@@ -110,7 +110,7 @@ class Dictionary:
 
     def _responses(self, effect: Effect, thetas: FloatArray) -> FloatArray:
         y, emulator = self._flights.y, self._emulator
-        if self._itself is not None and isinstance(effect, InputEffect):
+        if self._itself is not None and effect.arrives is not None:
             emulator = self._itself
         found = np.empty((len(thetas), *y.shape))
         for k in range(0, len(thetas), 8):

@@ -29,7 +29,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from narxcal.channels import SPOOLS
-from narxcal.effects.base import Pace, RateEffect, Signals, as_simulated
+from narxcal.effects.base import Pace, Signals, as_simulated
 from narxcal.effects.library import hypotheses
 from narxcal.effects.running import Flights, Shift
 from narxcal.support.arrays import FloatArray
@@ -344,7 +344,7 @@ def _back(values: FloatArray, order: list[int], count: int) -> FloatArray:
 
 def choose_control(emulators: Sequence[GreyBoxEmulator], record: Record) -> GreyBoxEmulator:
     """The emulator under whose control one effect of moves takes clearly more, or the first."""
-    moving = [e for e in hypotheses(record.flights.signals) if isinstance(e, RateEffect)]
+    moving = [e for e in hypotheses(record.flights.signals) if e.on_rates]
     if len(emulators) == 1 or not moving:
         return emulators[0]
     energy = (record.gap**2 / record.span**2).sum(axis=(1, 2))

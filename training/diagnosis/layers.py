@@ -32,7 +32,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.special import expit, log_softmax, logit, logsumexp, ndtri
 
 from narxcal.effects.library import LIBRARY, RARE
-from narxcal.effects.steady import UnloggedSwitch
+from narxcal.effects.steady import UNLOGGED_SWITCH
 from narxcal.intervals import LEVEL
 from narxcal.support.arrays import FloatArray
 from training.diagnosis import load
@@ -268,7 +268,7 @@ def compound_fits(setting: Setting, others: Sequence[Single]) -> tuple[Frame, li
     frame = setting.without(others)
     known = {one.name for one in others}
     tried = [frame.fit(nodes) for n, nodes in setting.dictionary.nodes.items() if n not in known]
-    tried += [] if UnloggedSwitch.id in known else load.found(frame)
+    tried += [] if UNLOGGED_SWITCH.id in known else load.found(frame)
     tried.sort(key=lambda one: one.solved.cost)
     tried[:_REFINED] = [frame.refined(one, setting.dictionary, 1) for one in tried[:_REFINED]]
     return frame, tried

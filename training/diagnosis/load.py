@@ -22,10 +22,9 @@ from typing import Final
 import numpy as np
 from scipy.signal import lfilter
 
-from narxcal.effects.library import LIBRARY
 from narxcal.effects.operators import lag
 from narxcal.effects.running import with_load
-from narxcal.effects.steady import FOLLOW_S, UnloggedSwitch
+from narxcal.effects.steady import FOLLOW_S, UNLOGGED_SWITCH
 from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.compiled import compiled
 from training.diagnosis.dictionary import Node
@@ -197,7 +196,7 @@ class _Blocks:
         signals, inside = flights.signals, self.spread(on).astype(float)
         own = [np.flatnonzero(self.groups == g)[0] for g in np.unique(self.groups)]
         switches = int(np.abs(np.diff(on[own].astype(int), axis=1)).sum() + on[own, 0].sum())
-        effect = LIBRARY[UnloggedSwitch.id]()
+        effect = UNLOGGED_SWITCH
         parameters = tuple(
             p for p in effect.parameters(with_load(flights, inside).signals) if p.linear
         )

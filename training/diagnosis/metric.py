@@ -33,7 +33,7 @@ class Record:
     `noise` (outputs,) is its standard deviation on the raster; `unit` (flights, time) the number
     of the unit that each sample belongs to, -1 beyond a flight's end; `group` (flights,) says which
     logs are of engines of one flight; `fast` (outputs,) is the mean squared gap of the logs that
-    means over the raster's steps have lost.
+    means over the raster's steps have lost; `names` are the logs'.
     """
 
     flights: Flights
@@ -42,6 +42,7 @@ class Record:
     unit: IntArray
     group: tuple[int, ...] = ()
     fast: FloatArray | float = 0.0
+    names: tuple[str, ...] = ()
 
     @property
     def known(self) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
@@ -49,9 +50,14 @@ class Record:
         return np.asarray(np.isfinite(self.real) & (self.unit >= 0)[..., None])
 
     @property
+    def difference(self) -> FloatArray:
+        """Recorded less simulated, (flights, time, outputs), NaN where unknown."""
+        return self.real - self.flights.y
+
+    @property
     def gap(self) -> FloatArray:
-        """Recorded less simulated, zero where unknown."""
-        return np.where(self.known, self.real - self.flights.y, 0.0)
+        """The difference, zero where unknown."""
+        return np.where(self.known, self.difference, 0.0)
 
     @property
     def span(self) -> FloatArray:

@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 
 from narxcal.effects.base import Parameter
-from narxcal.effects.library import LIBRARY
+from narxcal.effects.library import effect as effect_called
 from narxcal.effects.running import Emulator, Flights, response
 from narxcal.support.arrays import FloatArray
 from training.diagnosis.metric import Record
@@ -63,7 +63,7 @@ def nuisances(record: Record, emulator: Emulator | None = None, build: float = 1
     very engine. What flights of one engine differ by stays.
     """
     level = levels(record.flights)
-    steady = _maps(record.flights, level)
+    steady = steady_maps(record.flights, _shares(record.flights) * level)
     offsets = _offsets(record.flights)
     starts = _starts(record, level)
     small = _small(record.flights, emulator)
@@ -83,14 +83,13 @@ def build_columns(flights: Flights, emulator: Emulator | None) -> list[tuple[str
 
     Steady maps have no name, small dynamics that of the effect which they are a small size of.
     """
-    steady = _maps(flights, levels(flights))
+    steady = steady_maps(flights, _shares(flights) * levels(flights))
     return [*(("", each) for each in steady), *_small(flights, emulator)]
 
 
 def offset_sizes(flights: Flights) -> FloatArray:
     """Standard deviation (outputs,) of the offset of a flight."""
-    shares = np.array([_share(name) for name in flights.signals.outputs])
-    return np.asarray(_OF_FLIGHT * shares * levels(flights))
+    return np.asarray(_OF_FLIGHT * _shares(flights) * levels(flights))
 
 
 def levels(flights: Flights) -> FloatArray:
@@ -102,21 +101,22 @@ def levels(flights: Flights) -> FloatArray:
 
 def most_of_build(flights: Flights) -> FloatArray:
     """The largest steady difference (outputs,) that builds of one type may have."""
-    shares = np.array([_share(name) for name in flights.signals.outputs])
-    return np.asarray(_LIMIT * shares * levels(flights))
+    return np.asarray(_LIMIT * _shares(flights) * levels(flights))
 
 
-def _share(name: str) -> float:
-    return _LEVEL_PCT.get(name, _OTHER_PCT) / 100.0
+def _shares(flights: Flights) -> FloatArray:
+    """Standard deviation (outputs,) of what new engines differ by, as shares of the levels."""
+    percent = [_LEVEL_PCT.get(name, _OTHER_PCT) for name in flights.signals.outputs]
+    return np.array(percent) / 100.0
 
 
-def _maps(flights: Flights, level: FloatArray) -> FloatArray:
-    y, outputs = flights.y, flights.signals.outputs
-    p = flights.signals.power(y)
+def steady_maps(flights: Flights, sizes: FloatArray) -> FloatArray:
+    """Maps of power (3 per output, flights, time, outputs), for outputs of `sizes` (outputs,)."""
+    p = flights.signals.power(flights.y)
     shapes = np.stack([np.ones_like(p), p - 0.5, 2.0 * ((p - 0.5) ** 2 - 1.0 / 12.0)])
-    found = np.zeros((3 * len(outputs), *y.shape))
-    for c, name in enumerate(outputs):
-        found[3 * c : 3 * c + 3, ..., c] = _share(name) * level[c] * shapes
+    found = np.zeros((3 * len(sizes), *flights.y.shape))
+    for c, size in enumerate(sizes):
+        found[3 * c : 3 * c + 3, ..., c] = size * shapes
     return found
 
 
@@ -156,12 +156,11 @@ def _small(flights: Flights, emulator: Emulator | None) -> list[tuple[str, Float
     if emulator is None:
         return found
     for name, given in sizes.items():
-        kind, _, channel = name.partition(":")
-        effect = LIBRARY[kind](channel or None)
-        if effect.applies(signals) and (kind != "throttle_backlash" or signals.governed):
+        effect = effect_called(name)
+        if effect.applies(signals) and (name != "throttle_backlash" or signals.governed):
             theta = theta_of(effect.parameters(signals), given)
             found.append((name, response(effect, theta, flights, emulator)))
-    soak = LIBRARY["heat_soak"]()
+    soak = effect_called("heat_soak")
     for p in soak.parameters(signals):
         if p.linear:
             given = {"tau_s": 40.0, "rise_s": 1.0, p.name: 0.015}

@@ -17,11 +17,12 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from data_prep.config import ENGINE, LogsConfig
 from data_prep.sources.text_file import open_text
 from data_prep.sources.units import find_unit
-from eval.diagnosis.blind.cases import BlindPlan
+from eval.diagnosis.blind.cases import BlindPlan, case_name, drawn
 from eval.diagnosis.blind.make import Made
 from narxcal.channels import channel
 from narxcal.flight_test.signals import first_order
@@ -97,7 +98,6 @@ class Altered(NamedTuple):
     times: float  # the nameable size
 
     def row(self) -> dict[str, Any]:
-        """Give it as a row of the key."""
         kind = ("null", "single", "pair")[len(self.parts)]
         effects = [
             {
@@ -145,15 +145,14 @@ def make_altered(folder: Path, plan: BlindPlan, logs: LogsConfig, base: Path) ->
     `DataError` for what cannot be read and `ConfigError` where no fault can be put on.
     """
     files = logs.resolve(base)
-    random = np.random.default_rng(np.random.SeedSequence(plan.seed, spawn_key=(6,)))
-    sources = logs.sources(_header(files[0]))
+    random = drawn(plan, 6)
+    sources = logs.sources(tuple(_rows(files[0])[0]))
     driver = next((name for name in ("TRA_deg", "FF_kgph") if name in sources), None)
     if driver is None:
         raise ConfigError("the logs have neither TRA_deg nor FF_kgph: nothing drives the engine")
     offered = [each for each in ALTERATIONS if each.channel in (*sources, DRIVER)]
-    width = max(3, len(str(plan.cases)))
     for number, case in enumerate(draw_altered(plan.cases, files, offered, random), start=1):
-        name = f"case_{number:0{width}d}"
+        name = case_name(plan, number)
         content = alter(case, logs, driver)
         log = f"real/{case.file.name.removesuffix('.gz')}.gz"
         (folder / name / log).parent.mkdir(parents=True, exist_ok=True)
@@ -196,17 +195,6 @@ def _rows(file: Path) -> list[list[str]]:
         return list(csv.reader(text))
 
 
-def _header(file: Path) -> tuple[str, ...]:
-    with open_text(file) as text:
-        return tuple(next(csv.reader(text)))
-
-
 def _numbers(rows: Sequence[Sequence[str]], column: int) -> FloatArray:
-    return np.array([_number(row[column]) for row in rows[1:]])
-
-
-def _number(cell: str) -> float:
-    try:
-        return float(cell)
-    except ValueError:
-        return np.nan
+    cells = pd.Series([row[column] for row in rows[1:]])
+    return pd.to_numeric(cells, errors="coerce").to_numpy(np.float64)

@@ -29,7 +29,7 @@ from sklearn.linear_model import LogisticRegression
 from eval.diagnosis.blind.files import open_key
 from eval.diagnosis.blind.outcome import Outcome
 from eval.diagnosis.blind.score import calibration_error, mean
-from eval.diagnosis.flights import batch, record_of
+from eval.diagnosis.flights import batch
 from eval.diagnosis.pairs import read_pairs
 from narxcal.support.arrays import BoolArray, FloatArray
 from training.diagnosis.emulator import choose_control, fit_emulators
@@ -85,12 +85,10 @@ class Case:
 
     @property
     def family(self) -> str:
-        """Kind of engine."""
         return self.outcome.family
 
 
 def read_case(file: Path) -> Case:
-    """One case from what `weigh` left."""
     found = json.loads(file.read_text(encoding="utf-8"))
     outcome = Outcome(file.stem, found["truth"], {})
     first = Choice(*_arrays(found), 2, _right(outcome, found["names"]), _weight(outcome))
@@ -194,7 +192,6 @@ def logits(cases: Sequence[Case]) -> Odds:
 
 
 def _each_family(cases: Sequence[Case]) -> Iterator[tuple[list[Case], list[Case]]]:
-    """Cases of each family, and those of the others; nothing of a single family."""
     for family in dict.fromkeys(one.family for one in cases):
         own = [one for one in cases if one.family == family]
         if len(own) < len(cases):
@@ -261,9 +258,8 @@ def left_out(cases: Sequence[Case]) -> list[dict[str, Any]]:
 
 def weigh_case(case: Path, truth: Mapping[str, Any]) -> dict[str, Any]:
     """Features of one case, and of second effects, with its leader and with each true one first."""
-    data = batch(read_pairs(case / "real", case / "sim"))
-    record = record_of(data)
-    emulator = choose_control(fit_emulators(data.flights), record)
+    record = batch(read_pairs(case / "real", case / "sim"))
+    emulator = choose_control(fit_emulators(record.flights), record)
     evidence = weigh(record, Engines(emulator))
     singles = {one.name: one for one in evidence.singles}
     leader = list(singles)[int(np.argmax(evidence.effects @ evidence.setting.odds.effect))]

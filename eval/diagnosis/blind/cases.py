@@ -47,16 +47,13 @@ class Scale(NamedTuple):
 
     @property
     def name(self) -> str:
-        """`id`, or `id:channel`."""
         return self.id if self.channel is None else f"{self.id}:{self.channel}"
 
     @property
     def family(self) -> str:
-        """The group of effects that are easily taken for each other."""
         return LIBRARY[self.id].family
 
     def parameters(self, size: float) -> dict[str, float]:
-        """Parameters of the effect at a size."""
         if self.inverse:
             return {name: factor / size for name, factor in self.factors.items()}
         return {name: self.neutral + factor * size for name, factor in self.factors.items()}
@@ -102,7 +99,6 @@ class Dose(NamedTuple):
 
     @property
     def parameters(self) -> dict[str, float]:
-        """Parameters at this size."""
         return self.scale.parameters(self.size)
 
     @property
@@ -111,12 +107,10 @@ class Dose(NamedTuple):
         return self.scale.id in ON_SENSORS
 
     def unmodelled(self, windows: Windows) -> Unmodelled:
-        """Give it as an engine's effect; `windows` are those of a hidden switch."""
         own = windows if self.scale.id == "unlogged_switch" else ()
         return Unmodelled(self.scale.id, self.parameters, own)
 
     def row(self) -> dict[str, Any]:
-        """Give it as a row of the key."""
         return {
             "id": self.scale.id,
             "channel": self.scale.channel,
@@ -125,7 +119,6 @@ class Dose(NamedTuple):
         }
 
     def fault(self, engine: str) -> SensorFault:
-        """Give it as a sensor's fault."""
         more = {}
         if self.scale.id == "flowmeter_dynamics":
             more = {"reference_kgph": _METER_KGPH.get(engine, _SMALL_KGPH)}
@@ -208,44 +201,56 @@ class Content(NamedTuple):
 
 
 class Offer(NamedTuple):
-    """What cases can be made of: effects, and what no effect is."""
+    """What cases can be made of: effects, and what no effect is; of one `engine`, if given."""
 
     scales: tuple[Scale, ...] = CATALOGUE
     mimics: tuple[Strange, ...] = MIMICS
     others: tuple[Strange, ...] = OTHERS
+    engine: str | None = None
 
 
-def draw_cases(plan: BlindPlan) -> list[Case]:
+def drawn(plan: BlindPlan, *purpose: int) -> np.random.Generator:
+    """Random numbers of a plan for one purpose alone."""
+    return np.random.default_rng(np.random.SeedSequence(plan.seed, spawn_key=purpose))
+
+
+def case_name(plan: BlindPlan, number: int) -> str:
+    """`case_001` and on, with as many digits as the last one needs."""
+    return f"case_{number:0{max(3, len(str(plan.cases)))}d}"
+
+
+def draw_cases(plan: BlindPlan, offer: Offer | None = None) -> list[Case]:
     """Draw all cases of a plan, in an order that tells nothing about them."""
-    random = np.random.default_rng(np.random.SeedSequence(plan.seed, spawn_key=(0,)))
-    contents = draw_contents(plan.cases, random)
+    offer = offer or Offer()
+    random = drawn(plan, 0 if offer.engine is None else 3)
+    contents = draw_contents(plan.cases, random, offer)
     order = random.permutation(len(contents)).tolist()
-    width = max(3, len(str(plan.cases)))
     return [
-        _case(f"case_{place + 1:0{width}d}", (place + 1, which), plan, contents[which], random)
-        for place, which in enumerate(order)
+        _case((number, which), plan, contents[which], offer.engine, random)
+        for number, which in enumerate(order, start=1)
     ]
 
 
 def _case(
-    name: str,
     numbers: tuple[int, int],
     plan: BlindPlan,
     content: Content,
+    engine: str | None,
     random: np.random.Generator,
 ) -> Case:
     number, which = numbers
     styles = STYLES if plan.style == "both" else (plan.style,)
-    signs = draw_signs(content.effects, random)
+    own = engine is None
     return Case(
-        name=name,
+        name=case_name(plan, number),
         number=number,
         kind=content.kind,
-        style=styles[(which + which // len(CATALOGUE)) % len(styles)],
-        engine=_engine(plan.engine, which, content, random),
-        base=base_of(plan, content.kind, which, random),
         effects=content.effects,
-        signs=signs,
+        # In this order, for each draws from `random`.
+        signs=draw_signs(content.effects, random),
+        style=engine or styles[(which + which // len(CATALOGUE)) % len(styles)],
+        engine=engine or _engine(plan.engine, which, content, random),
+        base=base_of(plan, content.kind, which, random if own else None),
         strange=content.strange,
         share=draw_share(content, random, plan.build),
     )
@@ -261,11 +266,10 @@ def _engine(wanted: str, which: int, content: Content, random: np.random.Generat
 
 
 def draw_signs(scales: Sequence[Scale], random: np.random.Generator) -> tuple[float, ...]:
-    """Draw which way each effect goes."""
     return tuple(float(random.choice((-1.0, 1.0))) if e.signed else 1.0 for e in scales)
 
 
-def draw_share(content: Content, random: np.random.Generator, build: str = "scattered") -> float:
+def draw_share(content: Content, random: np.random.Generator, build: str) -> float:
     """Draw the share of the gap that the content makes; nothing makes none.
 
     An offset is most of the gap: a smaller one drowns in the offsets of build and instrumentation,
@@ -286,11 +290,17 @@ def share_in(bounds: tuple[float, float], random: np.random.Generator) -> float:
     return odds / (1.0 + odds)
 
 
-def base_of(plan: BlindPlan, kind: Kind, which: int, random: np.random.Generator) -> Base:
-    """Nulls always, and every other of the rest, have a simulator that is wrong."""
+def base_of(plan: BlindPlan, kind: Kind, which: int, random: np.random.Generator | None) -> Base:
+    """Nulls always, and every other of the rest, have a simulator that is wrong.
+
+    Without `random` numbers, as of logs, in its structure alone.
+    """
     if plan.build == "same":
         return Base(0.0)
-    if kind != "null" and which % 2:
+    wrong = kind == "null" or which % 2 == 0
+    if random is None:
+        return Base(0.0, misfit=wrong)
+    if not wrong:
         return Base(_BUILD_PCT)
     return Base(
         _NULL_BUILD_PCT if kind == "null" else _BUILD_PCT,
@@ -301,11 +311,8 @@ def base_of(plan: BlindPlan, kind: Kind, which: int, random: np.random.Generator
     )
 
 
-def draw_contents(
-    cases: int, random: np.random.Generator, offer: Offer | None = None
-) -> list[Content]:
+def draw_contents(cases: int, random: np.random.Generator, offer: Offer) -> list[Content]:
     """What the cases hold; shares are rounded up, as long as there are enough cases."""
-    offer = offer or Offer()
     nulls = math.ceil(_NULLS * cases)
     outside = min(math.ceil(_OUTSIDE * cases), cases - nulls)
     pairs = min(math.ceil(_PAIRS * cases), cases - nulls - outside)
@@ -337,7 +344,6 @@ def _singles(count: int, scales: Sequence[Scale], random: np.random.Generator) -
 
 
 def _two(scales: Sequence[Scale], random: np.random.Generator) -> tuple[Scale, ...]:
-    """Two effects of different families."""
     while True:
         first, second = (scales[k] for k in random.choice(len(scales), 2, replace=False))
         if first.family != second.family:

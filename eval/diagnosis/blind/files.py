@@ -18,10 +18,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
+from eval.diagnosis.applied import read_document
 from eval.diagnosis.blind.truth import Channels
 from narxcal.support.errors import ConfigError, DataError
+from narxcal.support.files import log_csv
 
 MARK: Final = b"narxcal.blind_key/1\n"
 _ROUNDS = 200_000
@@ -75,6 +75,7 @@ def _mixed(text: bytes, key: bytes) -> bytes:
 SCHEMA: Final = "narxcal.blind/1"
 KEY_SCHEMA: Final = "narxcal.blind_key/1"
 CASES, KEY = "cases.json", "key.json.sealed"
+ANOTHER: Final = "Is this the right folder?"
 FOLDERS: Final = ("sim", "real", "sim_heldout", "real_heldout")
 
 
@@ -84,11 +85,7 @@ def write_log(file: Path, channels: Channels) -> str:
     Blank where there is no reading. The zip bears no time, so that the same numbers are the same
     bytes.
     """
-    # Adding 0 turns a minus zero into zero.
-    table = np.column_stack(list(channels.values())) + 0.0
-    form = ",".join(["%.8g"] * len(channels)) + "\n"
-    rows = "".join([form % tuple(row) for row in table.tolist()]).replace("nan", "")
-    content = gzip.compress((",".join(channels) + "\n" + rows).encode(), 6, mtime=0)
+    content = gzip.compress(log_csv(channels, 8).encode(), 6, mtime=0)
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_bytes(content)
     return hashlib.sha256(content).hexdigest()
@@ -99,7 +96,7 @@ def read_cases(folder: Path) -> dict[str, Any]:
 
     Raises `DataError` for a folder that `blind make` did not write, and for a missing log.
     """
-    document = read_json(folder / CASES, SCHEMA)
+    document = read_document(folder / CASES, SCHEMA, DataError, ANOTHER)
     listed = document.get("logs")
     if not isinstance(listed, dict) or not all(isinstance(one, dict) for one in listed.values()):
         raise DataError("'logs' is no table of cases and their logs", file=folder / CASES)
@@ -107,21 +104,6 @@ def read_cases(folder: Path) -> dict[str, Any]:
         for log in logs:
             if not (folder / case / log).is_file():
                 raise DataError("the log is gone", file=folder / case / log)
-    return document
-
-
-def read_json(file: Path, schema: str) -> dict[str, Any]:
-    """Read a document of a schema; raises `DataError`."""
-    try:
-        document = json.loads(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise DataError(
-            f"cannot be read: {error.strerror}", file=file, hint="Is this the right folder?"
-        ) from None
-    except (ValueError, RecursionError):
-        raise DataError("is no JSON", file=file) from None
-    if not isinstance(document, dict) or document.get("schema") != schema:
-        raise DataError(f"is no document of schema {schema}", file=file)
     return document
 
 

@@ -104,7 +104,6 @@ def _demand(p: Physics, state: FloatArray, command: float, root: float, dt_s: fl
 
 @compiled
 def _fuel(p: Physics, state: FloatArray, demand: float, dt_s: float) -> float:
-    """Servo, valve and burner; returns the fuel that burns."""
     state[SERVO] = _toward(state[SERVO], demand, p.servo_tau_s, dt_s)
     wanted = _toward(state[METERED], state[SERVO], p.valve_tau_s, dt_s)
     most = p.slew_ps * dt_s

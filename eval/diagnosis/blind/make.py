@@ -17,9 +17,8 @@ noise. All shares sum to 1; one below 0 opposes the others.
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from itertools import combinations
 from pathlib import Path
@@ -41,7 +40,7 @@ from eval.diagnosis.blind.files import (
 from eval.diagnosis.blind.truth import NOTHING, Channels, Content, Specimen, outputs_of
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ModelError
-from narxcal.support.files import atomic_write_bytes, atomic_write_text
+from narxcal.support.files import atomic_write_bytes, atomic_write_text, to_json
 from narxcal.support.parallel import in_processes
 from narxcal.support.progress import Progress, silent
 
@@ -188,7 +187,6 @@ def budget(
 
 
 def _shapley(name: str, values: Mapping[frozenset[str], FloatArray], n: int) -> FloatArray:
-    """What one cause takes away, on average over the orders in which the `n` causes enter."""
     own = [
         (without, math.factorial(len(without)) * math.factorial(n - len(without) - 1))
         for without in values
@@ -217,7 +215,8 @@ def make_cases(
     The bytes depend on plan and secret alone. The list tells names, flights and digests, and
     nothing of what is in a case. Raises `ModelError` naming the case that cannot be flown.
     """
-    made = _all_made(folder, plan, draw_cases(plan), jobs)
+    cases = draw_cases(plan)
+    made = in_processes(partial(make_case, folder, plan), cases, min(jobs, len(cases)))
     return write_key(folder, plan, secret, made, progress)
 
 
@@ -233,12 +232,8 @@ def write_key(
     listed = {"schema": SCHEMA, "plan": plan.model_dump(exclude={"seed"}), "logs": logs}
     key = {"schema": KEY_SCHEMA, "plan": plan.model_dump(), "cases": rows}
     atomic_write_bytes(folder / KEY, sealed(key, secret, salt_of(listed)))
-    atomic_write_text(folder / CASES, json.dumps(listed, indent=1) + "\n")
+    atomic_write_text(folder / CASES, to_json(listed))
     return listed
-
-
-def _all_made(folder: Path, plan: BlindPlan, cases: Sequence[Case], jobs: int) -> Iterator[Made]:
-    return in_processes(partial(make_case, folder, plan), cases, min(jobs, len(cases)))
 
 
 def make_case(folder: Path, plan: BlindPlan, case: Case) -> Made:
@@ -273,7 +268,6 @@ def made_from(folder: Path, plan: BlindPlan, specimen: Any) -> Made:
 def _written(
     folder: Path, flights: int, simulated: Sequence[Channels], recorded: Sequence[Channels]
 ) -> dict[str, str]:
-    """Write all logs of a case; returns log -> SHA-256."""
     found = {}
     for number, both in enumerate(zip(simulated, recorded, strict=True)):
         names = FOLDERS[:2] if number < flights else FOLDERS[2:]

@@ -40,11 +40,9 @@ class Magnitude(NamedTuple):
 
     @property
     def inside(self) -> bool:
-        """Whether the interval contains the truth."""
         return self.low <= self.true <= self.high
 
     def row(self) -> dict[str, Any]:
-        """Give it as plain values."""
         return {**self._asdict(), "inside": self.inside}
 
 
@@ -57,7 +55,6 @@ class Outcome(NamedTuple):
 
     @property
     def kind(self) -> str:
-        """What the case is: single, pair, null, outside."""
         return str(self.truth["kind"])
 
     @property
@@ -73,12 +70,10 @@ class Outcome(NamedTuple):
 
     @property
     def gap_share(self) -> float:
-        """Share of the squared gap that the true content makes; NaN where it is not known."""
         return float(self.truth.get("gap_share", float("nan")))
 
     @property
     def in_library(self) -> bool:
-        """Whether it contains effects that can be named."""
         return self.kind in ("single", "pair")
 
     @property
@@ -89,7 +84,6 @@ class Outcome(NamedTuple):
 
     @property
     def true_effects(self) -> tuple[str, ...]:
-        """Names of the effects that act."""
         return tuple(name_of(row) for row in self.truth["effects"])
 
     @property
@@ -99,41 +93,34 @@ class Outcome(NamedTuple):
 
     @property
     def verdict(self) -> str:
-        """Kind of the verdict: none, effects, ambiguous, unknown; or failed."""
         return FAILED if self.failed else str(self.answer["verdict"]["kind"])
 
     @property
     def claims(self) -> bool:
-        """Whether effects are named."""
         return len(self.claimed) > 0
 
     @property
     def firm(self) -> bool:
-        """Whether effects are named without an alternative."""
         return self.claims and self.verdict == "effects"
 
     @property
     def claimed(self) -> tuple[str, ...]:
-        """Effects that are named; nothing where the verdict names none."""
         if self.verdict not in ("effects", "ambiguous"):
             return ()
         return tuple(self.answer["verdict"]["effects"])
 
     @property
     def named_set(self) -> tuple[str, ...]:
-        """Effects that are named, with those that they are ambiguous with."""
         if not self.claims:
             return ()
         return (*self.claimed, *self.answer["verdict"]["ambiguous_with"])
 
     @property
     def ranked(self) -> tuple[str, ...]:
-        """All effects in the order of the answer, whatever the verdict."""
         return tuple(name_of(row) for row in self.answer.get("effects", ()))
 
     @property
     def sureness(self) -> float:
-        """Probability of the effect that is named first; 0 where none is."""
         if not self.claims:
             return 0.0
         return float(self._rows().get(self.claimed[0], {}).get("probability") or 0.0)
@@ -158,12 +145,11 @@ class Outcome(NamedTuple):
 
     @property
     def exact(self) -> bool:
-        """Whether the verdict names what acts and nothing else."""
-        return {*self.claimed} == {*self.true_effects}
+        """Whether the answer names what acts and nothing else, no alternative either."""
+        return {*self.named_set} == {*self.true_effects}
 
     @property
     def others(self) -> int:
-        """How many effects are named that were not put in."""
         return len({*self.claimed} - {*self.true_effects})
 
     @property
@@ -213,7 +199,6 @@ class Outcome(NamedTuple):
 
     @property
     def seconds(self) -> float | None:
-        """What the answer took."""
         found = self.answer.get("seconds")
         return None if found is None else float(found)
 
@@ -221,15 +206,13 @@ class Outcome(NamedTuple):
         return {name_of(row): row for row in self.answer.get("effects", ())}
 
     def _true_channels(self) -> dict[str, float]:
-        if "budget" not in self.truth:  # keys of before: channel|direction|phase -> share
-            return _summed((n.partition("|")[0], v) for n, v in self.truth.get("where", {}).items())
-        rows = [self.truth["budget"].get(name, {}) for name in self.true_effects]
+        rows = [self.truth.get("budget", {}).get(name, {}) for name in self.true_effects]
         return _summed(each for row in rows for each in row.get("channels", {}).items())
 
     def _said_channels(self) -> dict[str, float]:
         rows = [row for row in self.answer.get("budget", ()) if row["cause"] not in NO_EFFECT]
         if rows:
-            return _summed(each for row in rows for each in (row["channels"] or {}).items())
+            return _summed(each for row in rows for each in row["channels"].items())
         return _summed((row["channel"], row["share"]) for row in self.answer.get("where", ()))
 
 
@@ -241,5 +224,4 @@ def _summed(rows: Any) -> dict[str, float]:
 
 
 def _most(shares: Mapping[str, float]) -> str | None:
-    """The name with the largest share; None where there is nothing."""
     return max(shares, key=lambda name: shares[name]) if any(shares.values()) else None

@@ -7,11 +7,10 @@ already is not done again, so a run that was cut short goes on.
 from __future__ import annotations
 
 import json
-import math
 import signal
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -20,7 +19,7 @@ from typing import Any, Final, NamedTuple
 from eval.diagnosis.blind.files import read_cases
 from eval.diagnosis.diagnose import Request, diagnose_folders
 from narxcal.support.errors import ConfigError, NarxcalError
-from narxcal.support.files import atomic_write_text
+from narxcal.support.files import atomic_write_text, to_json
 from narxcal.support.interrupt import is_interrupt, put_off, safe_interrupt
 from narxcal.support.parallel import in_processes
 from narxcal.support.progress import Progress, silent
@@ -72,7 +71,7 @@ def run_cases(
         )
     _check_out(out)
     out.mkdir(parents=True, exist_ok=True)
-    atomic_write_text(out / ANSWERS, json.dumps({"schema": SCHEMA, "cases": cases}) + "\n")
+    atomic_write_text(out / ANSWERS, to_json({"schema": SCHEMA, "cases": cases}))
     left = [name for name in cases if read_answer(out, name) is None]
     done = len(cases) - len(left)
     run = partial(_run_case, folder, out, limits.timeout_s, judge)
@@ -80,7 +79,7 @@ def run_cases(
     for number, name in enumerate(each, start=done + 1):
         progress(number, len(cases), name)
     summary = {"schema": SCHEMA, "cases": cases, **_counted(out, cases), "resumed": done}
-    atomic_write_text(out / ANSWERS, json.dumps(summary, indent=1) + "\n")
+    atomic_write_text(out / ANSWERS, to_json(summary))
     return summary
 
 
@@ -125,9 +124,8 @@ def _run_case(folder: Path, out: Path, timeout_s: float, judge: Judge | None, na
         said = str(error) if refused else f"{type(error).__name__}: {error}"
         found = _failure("refused" if refused else "error", said)
     found["seconds"] = round(time.perf_counter() - began, 2)
-    text = json.dumps(_finite(found), indent=1, allow_nan=False) + "\n"
     file = FAILED if found["schema"] == FAILED_SCHEMA else ANSWER
-    atomic_write_text(out / name / file, text)
+    atomic_write_text(out / name / file, to_json(found))
     return name
 
 
@@ -170,7 +168,6 @@ def _stop(*_: object) -> None:
 
 
 def _counted(out: Path, cases: list[str]) -> dict[str, Any]:
-    """How the cases ended, and the seconds that they took."""
     answers = {name: read_answer(out, name) or {} for name in cases}
     ends = [
         answer.get("kind", "answered") if answer.get("schema") == FAILED_SCHEMA else "answered"
@@ -180,12 +177,3 @@ def _counted(out: Path, cases: list[str]) -> dict[str, Any]:
         "ends": {end: ends.count(end) for end in sorted(set(ends))},
         "seconds": {name: answer.get("seconds") for name, answer in answers.items()},
     }
-
-
-def _finite(value: Any) -> Any:
-    """The value with null for what is not a finite number, as JSON has it."""
-    if isinstance(value, Mapping):
-        return {str(key): _finite(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -11,7 +10,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from scipy.stats import binomtest
 
-from eval.diagnosis.blind.files import open_key, read_json
+from eval.diagnosis.applied import read_document
+from eval.diagnosis.blind.files import ANOTHER, open_key
 from eval.diagnosis.blind.outcome import Outcome
 from eval.diagnosis.blind.run import ANSWERS, read_answer
 from eval.diagnosis.blind.run import SCHEMA as ANSWERS_SCHEMA
@@ -56,7 +56,6 @@ class Measure(NamedTuple):
     unit: str = ""
 
     def row(self) -> dict[str, Any]:
-        """Give it as plain values."""
         found = self.value._asdict() if isinstance(self.value, Rate) else {"value": self.value}
         return {"group": self.group, "name": self.name, "unit": self.unit, **found}
 
@@ -70,7 +69,7 @@ def score_answers(sets: Sequence[CaseSet], secrets: Sequence[str]) -> dict[str, 
     """
     plans, outcomes = {}, []
     for name, each in zip(_names(sets), sets, strict=True):
-        read_json(each.answers / ANSWERS, ANSWERS_SCHEMA)
+        read_document(each.answers / ANSWERS, ANSWERS_SCHEMA, DataError, ANOTHER)
         key = open_key(each.folder, *secrets)
         plans[name] = dict(key["plan"])
         outcomes += _outcomes(key, each.answers, f"{name}/" if len(sets) > 1 else "")
@@ -90,7 +89,6 @@ def _names(sets: Sequence[CaseSet]) -> list[str]:
 
 
 def _outcomes(key: Mapping[str, Any], answers: Path, lead: str) -> list[Outcome]:
-    """All cases of a key with their answers."""
     outcomes = []
     for name, truth in key["cases"].items():
         answer = read_answer(answers, name)
@@ -164,7 +162,6 @@ def table(outcomes: Cases) -> list[Measure]:
 
 
 def _of_budgets(outcomes: Cases) -> list[Measure]:
-    """Shares, shrinkage and sizes against the truth."""
     effects = [abs(e) for o in outcomes for n, e in o.share_errors.items() if n in o.true_effects]
     every = [abs(e) for o in outcomes for e in o.share_errors.values()]
     shrunk = [o.shrinkage for o in outcomes]
@@ -257,7 +254,6 @@ def calibration_error(probabilities: Any, hits: Any) -> float:
 
 
 def mean(values: Iterable[float]) -> float:
-    """Arithmetic mean; NaN of nothing."""
     every = list(values)
     return float(np.mean(every)) if every else math.nan
 
@@ -267,7 +263,6 @@ def _median(values: Sequence[float]) -> float:
 
 
 def _by(items: Iterable[Any], group: Callable[[Any], Any]) -> dict[Any, list[Any]]:
-    """Items by their group, in the order in which the groups come up."""
     found: dict[Any, list[Any]] = {}
     for item in items:
         found.setdefault(group(item), []).append(item)
@@ -275,7 +270,6 @@ def _by(items: Iterable[Any], group: Callable[[Any], Any]) -> dict[Any, list[Any
 
 
 def _outcome(outcome: Outcome) -> dict[str, Any]:
-    """One case in a line: what was true, and what was said."""
     strange = outcome.truth["outside"]
     said = outcome.shrinkage or (None, None)
     share = outcome.gap_share
@@ -302,7 +296,6 @@ def _outcome(outcome: Outcome) -> dict[str, Any]:
 Table = tuple[str, Sequence[str], Sequence[Sequence[str]]]
 _COLUMNS: Final = 4  # of shares in a row after their names, in 80 columns of a terminal
 _WIDE: Final = 10  # of them on the page
-_NUMBER: Final = re.compile(r"[-+]?[\d.]+( ?%| s)?( ?[\[/] ?[-\d., ]+\]?)?( of \d+)?|-|")
 
 
 def tables(document: Mapping[str, Any], columns: int = _COLUMNS) -> list[Table]:
@@ -346,7 +339,6 @@ def _main(document: Mapping[str, Any]) -> Table:
 
 
 def _split(document: Mapping[str, Any], fact: str, columns: int) -> list[Table]:
-    """Every measure by folder or family where there are several."""
     by = document[f"by_{fact}"]
     if len(by) < 2:
         return []
@@ -390,7 +382,6 @@ def _case_by_case(document: Mapping[str, Any]) -> Table:
 
 
 def _sizes(document: Mapping[str, Any]) -> Table:
-    """What was found of sizes of effects that were rightly named, and what was put in."""
     rows = [
         [
             row["case"],
@@ -412,7 +403,6 @@ def _named(row: Mapping[str, Any]) -> str:
 
 
 def _counted(row: Mapping[str, Any]) -> str:
-    """A share as a count, a number as it is."""
     if "of" not in row:
         return _plain(row["value"])
     return f"{row['hits']} of {row['of']}" if row["of"] else "-"
@@ -425,7 +415,7 @@ def _plain(value: float | None) -> str:
 def _cells(table: Table) -> tables_of_pages.Table:
     """A table as pages have it: numbers flush right, the first column a head."""
     _, head, rows = table
-    flush = [all(map(_is_number, column)) for column in zip(*rows, strict=True)]
+    flush = [all(t[:1] in "+-0123456789" for t in column) for column in zip(*rows, strict=True)]
     cells = tuple(
         (
             tables_of_pages.Cell(row[0], "head"),
@@ -437,7 +427,3 @@ def _cells(table: Table) -> tables_of_pages.Table:
         for row in rows
     )
     return tables_of_pages.Table("", (head[0] or "measure", *head[1:]), cells)
-
-
-def _is_number(text: str) -> bool:
-    return not text or _NUMBER.fullmatch(text) is not None

@@ -18,15 +18,13 @@ import numpy as np
 from data_prep.log import Log
 from eval.diagnosis.blind.cases import (
     CATALOGUE,
-    Base,
     BlindPlan,
     Case,
     Offer,
     Scale,
     Windows,
-    draw_contents,
-    draw_share,
-    draw_signs,
+    draw_cases,
+    drawn,
 )
 from eval.diagnosis.blind.make import Made, made_from
 from eval.diagnosis.blind.outside import MIMICS, MISFIT, OTHERS, applied
@@ -60,7 +58,6 @@ class View(NamedTuple):
 
 
 def switches_of(channels: Channels) -> tuple[str, ...]:
-    """Bleed switches that change in a flight."""
     return tuple(n for n in _SWITCHES if n in channels and np.ptp(channels[n]) > 0.0)
 
 
@@ -155,7 +152,7 @@ def make_log_cases(folder: Path, plan: BlindPlan, logs: Path) -> Iterator[Made]:
             file=logs,
             hint="Add logs, or take fewer by --flights and --held-out",
         )
-    for case in drawn_cases(plan, flights):
+    for case in draw_cases(plan, offer_of(flights)):
         yield made_from(folder, plan, LogSpecimen(case, plan, flights))
 
 
@@ -174,7 +171,6 @@ class LogSpecimen:
         self._sensors = WHITE if plan.build == "same" else _MEASURED
 
     def flight(self, number: int) -> View:
-        """Flight `number`, counted from 0."""
         channels = self.logs[number]
         time_s = channels["time_s"]
         span = [float(each["N1_pct"].min()) for each in self.logs]
@@ -202,14 +198,12 @@ class LogSpecimen:
         )
 
     def _real(self, flight: View, content: Content) -> Channels:
-        """With the content, and with a build and a structure of its own."""
         real = self._built(flight, content)
         for what, size in MISFIT if self.case.base.misfit else ():
             real = applied(what, "output", real, size)
         return real
 
     def _built(self, flight: View, content: Content) -> Channels:
-        """With the content, and with a build of its own."""
         real = self._with(flight, content)
         p = flight.power - 0.5
         for name, (a, b, c) in self._build.items():
@@ -219,7 +213,6 @@ class LogSpecimen:
         return real
 
     def _with(self, flight: View, content: Content) -> Channels:
-        """The simulated flight with what acts on the engine."""
         found = dict(flight.channels)
         for dose in content.doses:
             if dose.scale.id in SHIFTS:
@@ -243,33 +236,10 @@ class LogSpecimen:
         return {**seen, **{name: found.channels[name] for name in names}}
 
     def _random(self, purpose: int, number: int = 0) -> np.random.Generator:
-        key = (4, self.case.number, purpose, number)
-        return np.random.default_rng(np.random.SeedSequence(self.plan.seed, spawn_key=key))
+        return drawn(self.plan, 4, self.case.number, purpose, number)
 
 
-def drawn_cases(plan: BlindPlan, flights: Sequence[Log]) -> Iterator[Case]:
-    """Draw what the cases hold, of what these flights can show."""
-    offer = _offer(flights)
-    random = np.random.default_rng(np.random.SeedSequence(plan.seed, spawn_key=(3,)))
-    contents = draw_contents(plan.cases, random, offer)
-    width = max(3, len(str(plan.cases)))
-    for place, which in enumerate(random.permutation(plan.cases).tolist(), start=1):
-        held = contents[which]
-        yield Case(
-            name=f"case_{place:0{width}d}",
-            number=place,
-            kind=held.kind,
-            style=ENGINE,
-            engine=ENGINE,
-            base=Base(0.0, misfit=plan.build != "same" and (held.kind == "null" or which % 2 == 0)),
-            effects=held.effects,
-            signs=draw_signs(held.effects, random),
-            strange=held.strange,
-            share=draw_share(held, random, plan.build),
-        )
-
-
-def _offer(flights: Sequence[Log]) -> Offer:
+def offer_of(flights: Sequence[Log]) -> Offer:
     """What can be put onto these logs."""
     first = _channels(flights[0])
     days = [float(log["dT_C"].mean()) for log in flights if "dT_C" in log.channels]
@@ -288,11 +258,11 @@ def _offer(flights: Sequence[Log]) -> Offer:
         tuple(scale for scale in CATALOGUE if possible(scale)),
         tuple(each for each in MIMICS if each.on == "output"),
         OTHERS,
+        ENGINE,
     )
 
 
 def _read(folder: Path) -> list[Log]:
-    """All simulated flights, in order of their paths."""
     parts = [each for each in folder.rglob("*") if each.is_dir() and each.name in _FOLDERS]
     parts = sorted(parts) or [folder]
     return [log for part in parts for log in read_folder(part).values()]

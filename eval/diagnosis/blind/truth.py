@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from eval.diagnosis.blind.cases import Base, BlindPlan, Case, Dose, Windows
+from eval.diagnosis.blind.cases import Base, BlindPlan, Case, Dose, Windows, drawn
 from eval.diagnosis.blind.lumped import KINDS, LumpedEngine
 from eval.diagnosis.blind.outside import MISFIT, applied
 from narxcal.flight_test.plan import FlightPlan, plan_flight
@@ -79,7 +79,6 @@ class Flight(NamedTuple):
 
     @property
     def dt_s(self) -> float:
-        """Interval of the raster."""
         return float(self.inputs["time_s"][1] - self.inputs["time_s"][0])
 
 
@@ -91,7 +90,6 @@ class Specimen:
         self.build = build_scatter(self._random("build", 0), case.base.build_pct)
 
     def flight(self, number: int) -> Flight:
-        """Plan flight `number`, counted from 0."""
         random = self._random("flight", number)
         plan = FlightPlan.parse({
             "style": self.case.style,
@@ -174,8 +172,7 @@ class Specimen:
 
     def _random(self, purpose: str, number: int) -> np.random.Generator:
         code = int.from_bytes(purpose.encode()[:4], "big")
-        key = (1, self.case.number, code, number)
-        return np.random.default_rng(np.random.SeedSequence(self.plan.seed, spawn_key=key))
+        return drawn(self.plan, 1, self.case.number, code, number)
 
 
 def _multiplied(given: Unmodelled | None, name: str, factor: float) -> Unmodelled:
@@ -195,5 +192,4 @@ def _fuelled(inputs: Channels) -> Channels:
 
 
 def hidden_windows(random: np.random.Generator, end_s: float) -> Windows:
-    """Windows of a load that no channel records, in a flight of `end_s`."""
     return drawn_windows(random, end_s, _STRETCH_S)

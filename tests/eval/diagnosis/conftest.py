@@ -1,12 +1,15 @@
 """An engine of first-order lags flown through slams, and logs of it in pairs."""
 
+from dataclasses import replace
+from functools import cache
+
 import numpy as np
 import pytest
 
 from data_prep.log import Log
-from eval.diagnosis import flights
+from eval.diagnosis import diagnose, flights
 from eval.diagnosis.pairs import pair_logs
-from training.diagnosis.budget import Budget, Cause, Verdict, Weighed
+from training.diagnosis.budget import Budget, Cause, Interval, Verdict, Weighed
 
 RATE_HZ = 16.0
 
@@ -78,6 +81,7 @@ def nothing(_channels):
     return {}
 
 
+@cache
 def pair_of(seed, effect=nothing, **how):
     sim = flown(seed, **how)
     real = measured(sim, seed, **effect(sim))
@@ -97,6 +101,37 @@ def budget_of(kind, effects=(), ambiguous_with=(), **more):
     verdict = Verdict(kind, tuple(effects), ambiguous_with, "because", "fly")
     causes = (Cause("unexplained", 1.0, 1.0, 1.0, {}, {}),)
     return Budget(verdict, causes, rows, 0.1, 0.0, 0.5, **more)
+
+
+NAME = "sensor_lag:EGT_C"
+LAG = {"tau_s": Interval(1.0, 0.9, 1.1)}
+
+
+class NoEmulator:
+    """Stands in for the emulator, which effects on sensors do not need."""
+
+    def errors(self, flights):
+        return np.zeros(len(flights.signals.outputs))
+
+
+@pytest.fixture
+def answer(monkeypatch, make_budget):
+    """Makes the core find this, if there is no doubt."""
+    nothing = make_budget("unknown", {})
+
+    def set_to(kind="effects", effects=None):
+        found = make_budget(kind, {NAME: LAG} if effects is None else effects)
+
+        def concluded(_evidence, _phases, doubts=(), refused=""):
+            verdict = replace(nothing.verdict, reason="; ".join(doubts) or refused)
+            return replace(nothing, verdict=verdict) if doubts or refused else found
+
+        monkeypatch.setattr(diagnose, "fit_emulators", lambda _flights: (NoEmulator(),))
+        monkeypatch.setattr(diagnose, "weigh", lambda *_args: None)
+        monkeypatch.setattr(diagnose, "concluded", concluded)
+
+    set_to()
+    return set_to
 
 
 @pytest.fixture

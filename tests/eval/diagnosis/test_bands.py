@@ -24,16 +24,6 @@ def test_a_lagging_probe_is_slow_and_follows_the_lever(make_data, probe):
     assert max(band.coherence for band in bands) > 0.8
 
 
-def test_white_noise_alone_leaves_next_to_nothing(make_data):
-    data = make_data()
-    rng = np.random.default_rng(1)
-    gap = rng.normal(size=data.real.shape) * data.noise
-    loud = gap.copy()
-    loud[..., 2] += 10.0 * data.noise[2]
-    assert bands_of(data, loud)["EGT_C"][0].share > 0.95
-    assert bands_of(data, np.full_like(gap, np.nan) * 0 + gap)["N1_pct"]
-
-
 def test_unknown_samples_are_bridged(make_data, probe):
     data = make_data(probe)
     data.real[:, 100:110, 2] = np.nan

@@ -29,5 +29,5 @@ def test_the_planted_lag_closes_the_gap(make_data, probe):
     data = make_data(probe)
     after = with_effects({"sensor_lag:EGT_C": {"tau_s": 1.0}}, data.flights, None)
     left = np.sqrt(np.nanmean((data.real - after)[..., 2] ** 2))
-    assert left < 0.05 * np.sqrt(np.nanmean(data.gap[..., 2] ** 2))
+    assert left < 0.05 * np.sqrt(np.nanmean(data.difference[..., 2] ** 2))
     np.testing.assert_array_equal(with_effects({}, data.flights, None), data.flights.y)

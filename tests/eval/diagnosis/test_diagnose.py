@@ -2,49 +2,18 @@
 
 import json
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from eval.diagnosis import diagnose as module
-from eval.diagnosis import page
+from eval.diagnosis import page, pictures
 from eval.diagnosis.diagnose import Request, diagnose_folders, diagnose_pairs
 from eval.diagnosis.expected import expected, seen, unseen
 from eval.diagnosis.pairs import pair_logs
 from narxcal.support.errors import ConfigError, DataError
-from tests.eval.diagnosis.conftest import lagged
+from tests.eval.diagnosis.conftest import NAME, NoEmulator, lagged
 from training.diagnosis.budget import Interval
-
-NAME = "sensor_lag:EGT_C"
-LAG = {"tau_s": Interval(1.0, 0.9, 1.1)}
-
-
-class NoEmulator:
-    """Stands in for the emulator, which effects on sensors do not need."""
-
-    def errors(self, flights):
-        return np.zeros(len(flights.signals.outputs))
-
-
-@pytest.fixture
-def answer(monkeypatch, make_budget):
-    """Makes the core find this, if there is no doubt."""
-    nothing = make_budget("unknown", {})
-
-    def set_to(kind="effects", effects=None):
-        found = make_budget(kind, {NAME: LAG} if effects is None else effects)
-
-        def concluded(_evidence, _phases, doubts=(), refused=""):
-            verdict = replace(nothing.verdict, reason="; ".join(doubts) or refused)
-            return replace(nothing, verdict=verdict) if doubts or refused else found
-
-        monkeypatch.setattr(module, "fit_emulators", lambda _flights: (NoEmulator(),))
-        monkeypatch.setattr(module, "weigh", lambda *_args: None)
-        monkeypatch.setattr(module, "concluded", concluded)
-
-    set_to()
-    return set_to
 
 
 def test_found_effects_are_checked_on_flights_that_took_no_part(answer, pair, probe):
@@ -201,12 +170,30 @@ def test_an_emulator_that_errs_more_than_the_gap_is_a_warning(answer, pair, prob
     assert text.endswith("less sure than their intervals say")
 
 
+def test_a_named_effect_is_drawn_where_it_does_most_and_shares_stand_in_tables(answer, pair, probe):
+    found = diagnose_pairs([pair(seed, probe) for seed in range(3)])
+    drawn = pictures.effect_picture(found.evidence, found.document["effects"][0])
+    assert drawn.alt == f"{NAME}: lag of one sensor"
+    said = "Lag of one sensor: tau_s 1.00 s (0.90 to 1.10). Shown is the pu"
+    assert drawn.caption.startswith(said)
+    assert "nan" not in drawn.svg.lower()
+    made = page.budget_page(found.document, found.evidence)
+    assert not made.failed
+    assert said in made.html
+    phases, regimes = page.phase_table(found.document), page.regime_table(found.document)
+    largest = max(cell.level for row in phases.rows for cell in row)
+    assert largest == found.document["where"][0]["share"] > 0.5
+    low = regimes.head.index("power low")
+    shares = [float(cell.text[:-2]) for row in regimes.rows for cell in row[low : low + 3]]
+    assert sum(shares) == pytest.approx(100.0, abs=3.0)
+
+
 def test_a_picture_that_cannot_be_drawn_costs_nothing_but_itself(answer, pair, probe, monkeypatch):
     def broken(*_given):
         raise ValueError("no columns")
 
     found = diagnose_pairs([pair(seed, probe) for seed in range(3)])
-    monkeypatch.setattr(page, "drawing", broken)
+    monkeypatch.setattr(pictures, "effect_picture", broken)
     made = page.budget_page(found.document, found.evidence)
     assert made.failed == (f"{NAME} could not be drawn (ValueError: no columns)",)
     assert made.failed[0] in made.html

@@ -8,10 +8,8 @@ import pytest
 from eval.diagnosis.document import Evidence, document
 from eval.diagnosis.expected import channel_shrink, held_out, time_shrink
 from eval.diagnosis.where import locate
+from tests.eval.diagnosis.conftest import LAG, NAME
 from training.diagnosis.budget import Interval
-
-NAME = "sensor_lag:EGT_C"
-LAG = {"tau_s": Interval(1.0, 0.9, 1.1)}
 
 
 @pytest.fixture
@@ -28,6 +26,7 @@ def evidence(make_data, probe, make_budget):
         time_shrink(held.data, held.after, ((), ())),
         Interval(0.9, 0.8, 1.0),
         channel_shrink(data, after),
+        None,
         {"EGT_C": 0.4},
         held,
         {"warnings": ["few"]},

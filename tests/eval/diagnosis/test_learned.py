@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eval.diagnosis.flights import batch, phases_of, record_of
+from eval.diagnosis.flights import batch, phases_of
 from eval.diagnosis.learned import LEARNED, keep_learned, learned_by
 from narxcal.support.errors import ModelError
 from tests.eval.diagnosis.conftest import pair_of
@@ -11,9 +11,9 @@ from training.diagnosis.discrepancy import Discrepancy
 
 
 def test_flights_are_units_and_blocks_stand_for_few():
-    three = record_of(batch([pair_of(seed) for seed in range(3)]))
+    three = batch([pair_of(seed) for seed in range(3)])
     assert three.units == 3
-    one = record_of(batch([pair_of(0, duration_s=900.0)]))
+    one = batch([pair_of(0, duration_s=900.0)])
     assert one.units == 3
     assert np.bincount(one.unit[0]).tolist() == [1200, 1200, 1200]
 

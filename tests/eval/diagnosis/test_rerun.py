@@ -120,9 +120,3 @@ def test_where_it_settles_is_the_emulators_and_the_simulator_is_not_asked(flight
     assert shape.max() > 0.5
     np.testing.assert_allclose(found - flights.y, shape[..., None] * theta[0, 1:], atol=1e-9)
     assert not asked
-
-
-def test_a_simulator_that_loses_an_output_is_named(flights):
-    half = Rerun(Guess(), lambda log: {"N1_pct": log["TRA_deg"]}, BLOCK)
-    with pytest.raises(ModelError, match="the simulator no longer gives it"):
-        half.run(flights, flights.u)

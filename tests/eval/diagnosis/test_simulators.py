@@ -1,15 +1,14 @@
 """A simulator is what the user names, and what is none is refused in a sentence."""
 
-import importlib.util
 import sys
 import zipfile
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from eval.diagnosis.simulators import open_simulator
 from narxcal.support.errors import ConfigError, DataError, ModelError
+from tests.narxcal import fmu_source
 
 OWN = """\
 def double(inputs, dt_s):
@@ -61,15 +60,11 @@ def test_a_function_beside_the_user_is_called_with_inputs_and_interval(here, fly
     np.testing.assert_allclose(found.how(log)["N1_pct"], 2.0 * log["TRA_deg"] + log.dt_s)
 
 
-def test_an_installed_function_too(fly, log_of):
-    with pytest.raises(ConfigError, match="no function 'nothing'"):
-        open_simulator("narxcal.turbofan:nothing")
-
-
 @pytest.mark.parametrize(
     ("source", "problem"),
     [
         ("own_engine:number", "no function 'number'"),
+        ("narxcal.turbofan:nothing", "no function 'nothing'"),
         ("no_engine:f", "there is no module 'no_engine'"),
         ("business_yet", "is no folder of logs, run folder, FMU, module:function or virtual"),
         ("none.fmu", "is no folder of logs, run folder, FMU"),
@@ -189,7 +184,7 @@ def test_a_file_that_is_no_fmu_is_named(tmp_path):
 )
 def test_an_fmu_of_other_names_is_refused_with_those_it_has(tmp_path, other, problem):
     pytest.importorskip("fmpy", reason="FMUs need the extra `fmu`")
-    file = fmu_source().build(tmp_path / "engine.fmu", 2)
+    file = fmu_source.build(tmp_path / "engine.fmu", 2)
     renamed = tmp_path / "renamed.fmu"
     with zipfile.ZipFile(file) as old, zipfile.ZipFile(renamed, "w") as new:
         for name in old.namelist():
@@ -203,7 +198,7 @@ def test_an_fmu_of_other_names_is_refused_with_those_it_has(tmp_path, other, pro
 
 
 def test_a_folder_of_logs_is_that_folder(tmp_path):
-    assert open_simulator(str(tmp_path)) == ("logs", tmp_path)
+    assert open_simulator(str(tmp_path)) == ("logs", tmp_path, None)
 
 
 def test_a_virtual_engine_flies_the_inputs(fly, log_of):
@@ -219,23 +214,15 @@ def test_a_virtual_engine_needs_its_inputs(fly, log_of):
         open_simulator("business_jet").how(log_of(fly(0, 4.0)))
 
 
-def fmu_source():
-    """The tests' FMU in C: N1 follows 20 + 0.9 TRA - 5 Mach with a lag of 0.1 s."""
-    file = Path(__file__).parents[2] / "narxcal" / "fmu_source.py"
-    spec = importlib.util.spec_from_file_location("fmu_source", file)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.mark.parametrize("version", [2, 3])
 def test_an_fmu_runs_through_the_whole_log(tmp_path, fly, log_of, version):
     pytest.importorskip("fmpy", reason="FMUs need the extra `fmu`")
-    file = fmu_source().build(tmp_path / "engine.fmu", version)
+    file = fmu_source.build(tmp_path / "engine.fmu", version)
     log = log_of(fly(0, 60.0))
     found = open_simulator(str(file))
     assert found.kind == "FMU"
     n1 = found.how(log)["N1_pct"]
+    # The tests' FMU in C: N1 follows 20 + 0.9 TRA - 5 Mach with a lag of 0.1 s.
     target, state = 20.0 + 0.9 * log["TRA_deg"] - 5.0 * log["Mach"], 0.0
     expected = []
     for k in range(len(log)):
@@ -246,7 +233,7 @@ def test_an_fmu_runs_through_the_whole_log(tmp_path, fly, log_of, version):
 
 def test_an_fmu_that_fails_is_named(tmp_path, fly, log_of):
     pytest.importorskip("fmpy", reason="FMUs need the extra `fmu`")
-    file = fmu_source().build(tmp_path / "engine.fmu", 2)
+    file = fmu_source.build(tmp_path / "engine.fmu", 2)
     log = log_of(fly(0, 10.0))
     fast = log.with_channels({"Mach": np.full(len(log), 0.95)})  # which this FMU refuses
     with pytest.raises(ModelError, match=r"engine\.fmu: the FMU failed"):

@@ -16,7 +16,7 @@ def test_a_lagging_probe_is_on_its_channel_while_things_move(make_data, probe):
     assert all(row.phase != "steady" for row in where.rows if row.core)
     assert where.side.sensor > 0.9
     assert where.excess["EGT_C"] > 0.9
-    assert where.times["EGT_C"].median("Tt_s", "push") > 0.5
+    assert where.times["EGT_C"].groupby("direction")["Tt_s"].median()["push"] > 0.5
 
 
 def test_shares_are_a_partition_with_intervals_around_them(make_data, probe):
@@ -87,7 +87,7 @@ def test_without_a_claim_nothing_is_told_of_what_effects_do(make_data, probe):
 
 def test_what_was_not_recorded_is_not_told_of(make_data, probe):
     data = make_data(probe)
-    explained = data.gap.copy()
+    explained = data.difference.copy()
     data.real[..., 0] = np.nan
     explained[..., 0] = 100.0
     rows = locate(data, explained).rows
@@ -99,7 +99,7 @@ def test_offsets_of_flights_are_no_gap_beside_an_effect(make_data, probe):
     offsets = np.array([0.4, -0.3, 0.5, -0.5])
     data.real[..., 0] += offsets[:, None]
     assert locate(data).channels["N1_pct"].value > 0.02
-    truth = make_data(probe).gap
+    truth = make_data(probe).difference
     explained = np.zeros_like(data.flights.y)
     explained[..., 2] = truth[..., 2]
     where = locate(data, explained)
@@ -140,8 +140,8 @@ def test_a_shift_of_all_channels_is_on_the_input_side(make_data):
     data = make_data()
     data.real[:] = np.roll(data.flights.y, 2, axis=1)
     data.real[:, :2] = data.flights.y[:, :2]
-    energy = (data.gap / data.span) ** 2
-    side = side_of(data, data.gap, energy.sum(axis=(0, 1)))
+    energy = (data.difference / data.span) ** 2
+    side = side_of(data, data.difference, energy.sum(axis=(0, 1)))
     assert side.input > 0.7
     assert sum(side) == pytest.approx(1.0)
 
@@ -151,7 +151,7 @@ def test_slower_spools_are_on_the_process_side(make_data):
     for k, size in enumerate((0.02, -0.02, 0.02)):
         power = data.flights.signals.power(data.flights.y)
         data.real[..., k] = data.flights.y[..., k] + size * data.span[k] * (power - 0.5)
-    side = side_of(data, data.gap, np.array([0.4, 0.3, 0.3]))
+    side = side_of(data, data.difference, np.array([0.4, 0.3, 0.3]))
     assert side.process > 0.9
 
 

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from eval.diagnosis.blind import truth
+from eval.diagnosis.blind import files, truth
 from eval.diagnosis.blind.cases import BlindPlan
 from eval.diagnosis.blind.make import make_cases
 from eval.diagnosis.blind.outcome import Outcome
@@ -59,6 +59,14 @@ class LagEngine:
         }
 
 
+@pytest.fixture(scope="session", autouse=True)
+def quick_seal():
+    """A thousandth of the rounds that make a secret hard to guess."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(files, "_ROUNDS", 200)
+        yield
+
+
 @pytest.fixture
 def quick(monkeypatch):
     monkeypatch.setattr(truth, "VirtualEngine", LagEngine)
@@ -70,7 +78,7 @@ def plan():
 
 
 @pytest.fixture(scope="session")
-def made_once(plan, tmp_path_factory):
+def made_once(plan, quick_seal, tmp_path_factory):
     folder = tmp_path_factory.mktemp("made")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(truth, "VirtualEngine", LagEngine)
@@ -85,6 +93,7 @@ def made(quick, made_once, tmp_path):
 
 
 def truth_row(kind="single", effects=("spool_lag",), gap_share=0.2, like=(), budget=None):
+    channels = {"N1_pct": 0.8, "EGT_C": 0.2}
     families = {"spool_lag": "transit", "sensor_lag:EGT_C": "channel lag"}
     rows = []
     for name in effects:
@@ -99,8 +108,7 @@ def truth_row(kind="single", effects=("spool_lag",), gap_share=0.2, like=(), bud
         "outside": outside,
         "base": {"differs": True},
         "gap_share": gap_share,
-        "where": {"N1_pct|push|transit": 0.8, "EGT_C|steady|steady": 0.2},
-        **({} if budget is None else {"budget": budget}),
+        "budget": budget or {n: {"share": 0.5, "channels": channels} for n in effects},
     }
 
 

@@ -1,5 +1,7 @@
 """The lumped engine: at rest it rests, its control holds, every effect does what it should."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -58,6 +60,11 @@ def flown(kind, effect=None, parameters=None, inputs=None, windows=(), **more):
     return LumpedEngine(kind, unmodelled=effects, **more).simulate(inputs, DT)
 
 
+@cache
+def undisturbed(kind):
+    return flown(kind)
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_at_rest_it_rests(kind):
     inputs = {name: np.full(400, values[0]) for name, values in flight(kind).items()}
@@ -67,7 +74,7 @@ def test_at_rest_it_rests(kind):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_speeds_and_temperature_are_those_of_an_engine(kind):
-    found = flown(kind)
+    found = undisturbed(kind)
     assert 20.0 < found["N1_pct"].min() < 40.0
     assert 80.0 < found["N1_pct"].max() < 100.0
     assert 55.0 < found["N2_pct"].min() < 70.0
@@ -83,7 +90,7 @@ def test_each_control_holds_its_own_speed():
         ("lumped_n1", "N1_pct", "N2_pct"),
         ("lumped_n2", "N2_pct", "N1_pct"),
     ):
-        with_it, without = flown(kind, **bleed), flown(kind)
+        with_it, without = flown(kind, **bleed), undisturbed(kind)
         moved = {name: abs(with_it[name][at] - without[name][at]) for name in (held, free)}
         assert moved[held] < 0.05
         assert moved[free] > 0.5
@@ -92,7 +99,7 @@ def test_each_control_holds_its_own_speed():
 
 def test_the_ungoverned_one_answers_with_its_speeds():
     with_it = flown("lumped_fuel", "deterioration", {"hpt_efficiency_pct": 3.0})
-    without = flown("lumped_fuel")
+    without = undisturbed("lumped_fuel")
     assert (with_it["N2_pct"] - without["N2_pct"]).max() < 0.0
     np.testing.assert_allclose(with_it["FF_kgph"][50:], without["FF_kgph"][50:], rtol=1e-9)
 
@@ -102,7 +109,7 @@ def test_the_ungoverned_one_answers_with_its_speeds():
 def test_a_neutral_effect_changes_nothing_and_a_large_one_something(kind, effect):
     windows = ((50.0, 70.0),) if effect == "unlogged_switch" else ()
     neutral = {name: size.neutral for name, size in PARAMETERS[effect].items()}
-    without = flown(kind)
+    without = undisturbed(kind)
     for name, values in flown(kind, effect, neutral, windows=windows).items():
         np.testing.assert_allclose(values, without[name], rtol=1e-9)
     large = flown(kind, effect, LARGE[effect], windows=windows)
@@ -122,7 +129,7 @@ def test_a_delay_is_a_delay():
 
 @pytest.mark.parametrize("kind", ["lumped_n2", "lumped_fuel"])
 def test_inertia_slows_the_transit_and_not_the_end(kind):
-    heavy, without = flown(kind, "spool_lag", {"factor": 1.5}), flown(kind)
+    heavy, without = flown(kind, "spool_lag", {"factor": 1.5}), undisturbed(kind)
     start, half = round(40.0 / DT), 0.5
     times = []
     for found in (heavy, without):
@@ -149,7 +156,7 @@ def fuelled(inputs):
 
 
 def test_soak_delays_the_temperature_by_minutes():
-    soaked, without = flown("lumped_n1", "heat_soak", {"factor": 3.0}), flown("lumped_n1")
+    soaked, without = flown("lumped_n1", "heat_soak", {"factor": 3.0}), undisturbed("lumped_n1")
     after, later = round(47.0 / DT), round(79.0 / DT)
     cold = [without["EGT_C"][k] - soaked["EGT_C"][k] for k in (after, later)]
     assert cold[0] > cold[1] > 0.0
@@ -169,7 +176,7 @@ def test_play_is_that_of_the_play_operator():
 def test_a_build_and_a_probe_are_its_own():
     worse = LumpedEngine(build=Health(hpt_efficiency=0.98)).simulate(flight(), DT)
     slow = LumpedEngine(probe=2.0).simulate(flight(), DT)
-    without = flown("lumped_n1")
+    without = undisturbed("lumped_n1")
     assert (worse["EGT_C"] - without["EGT_C"]).mean() > 3.0
     np.testing.assert_array_equal(slow["N1_pct"], without["N1_pct"])
     assert np.abs(slow["EGT_C"] - without["EGT_C"]).max() > 10.0

@@ -15,7 +15,6 @@ from eval.diagnosis.blind.make import (
     energy,
     gap_share,
     make_case,
-    make_cases,
     ranges,
     size_for,
     sized,
@@ -84,15 +83,6 @@ def test_the_key_tells_all(made):
         assert len(row["effects"]) == len(row["budget"]) - 4
         assert bool(row["effects"]) == (row["kind"] in ("single", "pair"))
     assert key["plan"]["seed"] == 4
-
-
-def test_the_same_seed_gives_the_same_bytes(made, plan, tmp_path):
-    again = tmp_path / "again"
-    again.mkdir()
-    make_cases(again, plan, "4")
-    for file in made.rglob("*"):
-        if file.is_file():
-            assert file.read_bytes() == (again / file.relative_to(made)).read_bytes()
 
 
 def test_a_case_made_alone_is_the_one_made_with_others(made, plan, tmp_path):
@@ -333,8 +323,8 @@ def test_a_folder_of_something_else(tmp_path):
     with pytest.raises(DataError, match=r"cases.json: cannot be read: No such file"):
         read_cases(tmp_path)
     (tmp_path / "cases.json").write_text("{", "utf-8")
-    with pytest.raises(DataError, match="is no JSON"):
+    with pytest.raises(DataError, match="not JSON"):
         read_cases(tmp_path)
     (tmp_path / "cases.json").write_text("[]", "utf-8")
-    with pytest.raises(DataError, match=r"is no document of schema narxcal.blind/1"):
+    with pytest.raises(DataError, match=r"expected schema 'narxcal.blind/1', found"):
         read_cases(tmp_path)

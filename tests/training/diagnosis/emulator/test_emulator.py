@@ -61,7 +61,7 @@ def test_a_schedule_of_fuel_a_reset_and_curves_are_found(engine, flights):
     found = fit_emulators(flown)[0]
     assert (found.errors(flown) < 0.012 * span).all()
     assert found.engine.theta[two_spool.RESET] == pytest.approx(0.4, abs=0.12)
-    setting = (effect("accel_limit"), np.array([[0.6]]))
+    setting = (effect("accel_limit"), np.array([[0.6, 30.0]]))
     true, said = (respond([setting], flown, e)[0] - flown.y for e in (twin, found))
     assert np.sum(((said - true) / span) ** 2) < 0.1 * np.sum((true / span) ** 2)
 
