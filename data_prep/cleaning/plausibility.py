@@ -24,8 +24,9 @@ import numpy as np
 
 from data_prep.cleaning.faults import out_of_range, repeats, unnatural
 from data_prep.log import Finding, Kind, Log
+from data_prep.sources.units import Unit, conversions, to_canonical
 from narxcal.atmosphere import KELVIN, SOUND_KT, T0_K, isa, mach_of_cas
-from narxcal.channels import CHANNELS, SPOOLS, Channel, described
+from narxcal.channels import CHANNELS, SPOOLS, Channel
 from narxcal.support.arrays import BoolArray, FloatArray, robust_range, spans
 
 _QUANTISED, _ONE_SIZE = 0.6, 0.02  # share of the changes that are of one size, to this part of it
@@ -34,46 +35,6 @@ _GAPS, _NEAR, _ON_GRID = 8, 0.05, 0.9
 _MANY = 0.2  # share of the samples outside of the physical range: no single errors, another unit
 _FEW = 0.01  # likewise, of single errors in the right unit
 _FRACTION = 1.6  # a spool speed below this all along is a ratio, not percent
-
-# Conversions that are missed or made twice: kind of unit -> (name, scale, offset) of the right one.
-CONVERSIONS: Mapping[str, tuple[tuple[str, float, float], ...]] = {
-    "degC": (
-        ("kelvin", 1.0, -KELVIN),
-        ("degF", 5.0 / 9.0, -160.0 / 9.0),
-        ("degR", 5.0 / 9.0, -KELVIN),
-        ("degC, taken for kelvin", 1.0, KELVIN),
-        ("degC, taken for degF", 1.8, 32.0),
-    ),
-    "%": (("fraction", 100.0, 0.0), ("percent, taken for a fraction", 0.01, 0.0)),
-    "-": (("percent", 0.01, 0.0),),
-    "kg/h": (
-        ("lb/h", 0.45359237, 0.0),
-        ("kg/h, taken for lb/h", 1.0 / 0.45359237, 0.0),
-        ("kg/s", 3600.0, 0.0),
-        ("lb/s", 3600.0 * 0.45359237, 0.0),
-        ("kg/min", 60.0, 0.0),
-        ("g/s", 3.6, 0.0),
-        ("lb/min", 60.0 * 0.45359237, 0.0),
-    ),
-    "ft": (
-        ("m", 1.0 / 0.3048, 0.0),
-        ("ft, taken for m", 0.3048, 0.0),
-        ("km", 1000.0 / 0.3048, 0.0),
-        ("flight level", 100.0, 0.0),
-    ),
-    "kt": (
-        ("m/s", 3600.0 / 1852.0, 0.0),
-        ("km/h", 1000.0 / 1852.0, 0.0),
-        ("kt, taken for m/s", 1852.0 / 3600.0, 0.0),
-        ("mph", 0.868976, 0.0),
-    ),
-    "kN": (("lbf", 0.0044482216, 0.0), ("N", 0.001, 0.0)),
-}
-
-
-def conversions(channel: str) -> tuple[tuple[str, float, float], ...]:
-    """Units that `channel` may be in instead: name, scale, offset of value -> canonical value."""
-    return () if channel == "dT_C" else CONVERSIONS.get(described(channel).unit, ())
 
 
 def checked(log: Log) -> Log:
@@ -166,10 +127,14 @@ def _unit(channel: Channel, known: FloatArray) -> str:
         return ""
     if channel.name in SPOOLS and high > 2.0 * channel.high:
         return "rpm"
-    for word, scale, offset in conversions(channel.name):
-        if not np.mean(out_of_range(channel, scale * known + offset)) > _FEW:
-            return word
-    return ""
+    return next(
+        (
+            words
+            for words, unit in conversions(channel.name).items()
+            if not np.mean(out_of_range(channel, to_canonical(known, unit))) > _FEW
+        ),
+        "",
+    )
 
 
 # What a moving aircraft shows: while one of the others changes by so much, none stays exactly.
@@ -350,15 +315,16 @@ def _mended(log: Log, suspected: set[str], flies: BoolArray) -> Iterator[tuple[s
     """Conversions of one suspected channel with which no relation fails."""
     for name in (each for each in _AIR if each in suspected):
         level = f"median {np.nanmedian(log[name]):.4g}"
-        tried: list[tuple[Kind, str, float, float]] = [
-            ("unit", f"looks like {word}: {level}", scale, offset)
-            for word, scale, offset in conversions(name)
+        tried: list[tuple[Kind, str, Unit]] = [
+            ("unit", f"looks like {words}: {level}", unit)
+            for words, unit in conversions(name).items()
         ]
         tried += [
-            ("scale", f"looks scaled by {1.0 / scale:g}: {level}", scale, 0.0) for scale in _SCALES
+            ("scale", f"looks scaled by {1.0 / scale:g}: {level}", Unit("", scale))
+            for scale in _SCALES
         ]
-        for kind, text, scale, offset in tried:
-            channels = {**log.channels, name: scale * log[name] + offset}
+        for kind, text, unit in tried:
+            channels = {**log.channels, name: to_canonical(log[name], unit)}
             if not _failed(channels, flies, _EXACT)[1]:
                 yield name, kind, text
 

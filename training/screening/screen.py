@@ -22,8 +22,8 @@ from itertools import combinations
 
 import numpy as np
 
-from data_prep.cleaning.plausibility import conversions
 from data_prep.log import Finding, Kind, Log
+from data_prep.sources.units import conversions, to_canonical
 from narxcal.channels import CHANNELS, symbol
 from narxcal.support.arrays import BoolArray, FloatArray, spans
 from training.screening.redundancy import (
@@ -606,10 +606,10 @@ def _others(subject: _Subject) -> Iterator[_Other]:
             text = f"{symbol(a)} and {symbol(b)} fit the training logs when exchanged"
             yield _Other("exchanged", a, text, {a: values[b], b: values[a]}, b)
     for name in subject.sensed:
-        for word, scale, offset in conversions(name) if subject.log.recorded([name]) else ():
-            text = f"looks like {word}: median {np.nanmedian(subject.log[name]):.4g}"
-            other = {name: scale * values[name] + offset}
-            yield _Other("unit", name, text, other, size=1.0 / scale)
+        for words, unit in conversions(name).items() if subject.log.recorded([name]) else ():
+            text = f"looks like {words}: median {np.nanmedian(subject.log[name]):.4g}"
+            other = {name: to_canonical(values[name], unit)}
+            yield _Other("unit", name, text, other, size=1.0 / unit.scale)
 
 
 def _level(subject: _Subject) -> list[Finding]:
