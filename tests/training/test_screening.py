@@ -243,10 +243,10 @@ def flights(*seeds):
 def test_training_logs_are_masked_by_what_they_show_against_themselves(count):
     logs = flights(1, 2, 3)[:count]
     names = (*CHANNELS, "ALT_ft", "Mach", "dT_C")
-    assert all(log.findings == () for log in cross_screen(logs, names))
+    assert all(log.findings == () for log in cross_screen(logs, names)[0])
     fuel = logs[0]["FF_kgph"].copy()
     fuel[:1500] = 1.6 * fuel[:1500] + 40.0
-    found = cross_screen([logs[0].with_channels({"FF_kgph": fuel}), *logs[1:]], names)
+    found, _ = cross_screen([logs[0].with_channels({"FF_kgph": fuel}), *logs[1:]], names)
     lost = np.flatnonzero(~np.isfinite(found[0].without_faults()["FF_kgph"])) * DT_S
     assert lost[0] == pytest.approx(0.0, abs=12.0)
     assert lost[-1] == pytest.approx(300.0, abs=12.0)
@@ -261,7 +261,7 @@ def test_of_two_engines_of_one_real_flight_neither_is_masked():
         pytest.skip("needs the flights in ../shared/data")
     files = [each for each in configured_files(config, base) if "flight1" in each.name]
     logs = [one.log for one in prepare(read_logs(files, config.logs), config)]
-    found = cross_screen(logs, (*config.narx.outputs, *config.steady_state.inputs))
+    found, _ = cross_screen(logs, (*config.narx.outputs, *config.steady_state.inputs))
     assert len(found) == 2
     assert all(log.without_faults() is log for log in found)
 
