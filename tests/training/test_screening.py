@@ -17,7 +17,7 @@ from training.config import load_config
 from training.pipeline import configured_files
 from training.screening.masking import cross_screen
 from training.screening.redundancy import Bank, agreement
-from training.screening.redundancy_fit import Pool, learn, robust_weights
+from training.screening.redundancy_fit import Pool, robust_weights
 from training.screening.screen import screened
 
 DT_S = 0.2
@@ -56,7 +56,7 @@ def engine(seed, level=1.0, climb_ft=0.0):
 
 @pytest.fixture(scope="module")
 def bank():
-    return learn([engine(seed) for seed in range(4)], (*CHANNELS, "ALT_ft", "Mach"))
+    return Pool.of([engine(seed) for seed in range(4)]).bank((*CHANNELS, "ALT_ft", "Mach"))
 
 
 def with_fault(channel, change, seed=21):
@@ -91,11 +91,11 @@ def test_it_takes_the_engine_channels_and_needs_two(bank):
     assert bank.logs == 4
     log = engine(1)
     single = Log("flight", log.time_s, {"N1_pct": log["N1_pct"], "ALT_ft": log["ALT_ft"]})
-    assert learn([single], ("N1_pct", "ALT_ft")) is None
+    assert Pool.of([single]).bank(("N1_pct", "ALT_ft")) is None
 
 
 def test_a_channel_that_the_model_does_not_use_is_not_reported():
-    bank = learn([engine(seed) for seed in range(3)], ("N1_pct", "N2_pct", "EGT_C"))
+    bank = Pool.of([engine(seed) for seed in range(3)]).bank(("N1_pct", "N2_pct", "EGT_C"))
     assert examined(bank, with_fault("FF_kgph", lambda x: 1.5 * x)) == ()
 
 
@@ -208,7 +208,7 @@ def pair(seed, hotter):
 
 def test_a_slow_drift_shows_against_the_other_engine_of_the_flight():
     none = np.zeros(ROWS)
-    bank = learn([log for seed in range(4) for log in pair(seed, (none, none))], CHANNELS)
+    bank = Pool.of([log for seed in range(4) for log in pair(seed, (none, none))]).bank(CHANNELS)
     drift = np.zeros(ROWS)
     drift[2000:4400] = np.linspace(0.0, 40.0, 2400)
     assert [one.findings for one in screened(bank, pair(34, (none, none)))] == [(), ()]
@@ -223,7 +223,7 @@ def test_of_two_measured_channels_neither_is_masked():
         names = ("N1_pct", "EGT_C", "ALT_ft", "Mach", "dT_C")
         return replace(log, channels={name: log[name] for name in names})
 
-    bank = learn([two(seed) for seed in range(4)], ("N1_pct", "EGT_C"))
+    bank = Pool.of([two(seed) for seed in range(4)]).bank(("N1_pct", "EGT_C"))
     log = two(26)
     hot = log["EGT_C"] + np.where(np.arange(ROWS) > 3000, 200.0, 0.0)
     [found] = screened(bank, [log.with_channels({"EGT_C": hot})])
@@ -292,7 +292,7 @@ def test_verdicts_on_a_log_left_out_of_a_pool_are_those_of_learning_anew(change)
     logs = [engine(seed) for seed in range(4)]
     logs[2] = logs[2].with_channels({"N1_pct": change(logs[2]["N1_pct"])})
     quick = examined(Pool.of(logs).bank(CHANNELS, without=[2]), logs[2])
-    slow = examined(learn([logs[k] for k in (0, 1, 3)], CHANNELS), logs[2])
+    slow = examined(Pool.of([logs[k] for k in (0, 1, 3)]).bank(CHANNELS), logs[2])
     assert [(one.kind, one.channel) for one in quick] == [(one.kind, one.channel) for one in slow]
     assert [one.size for one in quick] == pytest.approx([one.size for one in slow], rel=0.1)
 

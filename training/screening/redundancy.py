@@ -139,7 +139,7 @@ class Bank:
     |---|---|
     | `centre`, `spread` | mean and standard deviation of each corrected channel |
     | `low`, `high` | its range in the training logs, scaled |
-    | `cells` | source -> cells in which the training logs have been |
+    | `cells` | source -> codes of the cells in which the training logs have been |
     | `models` | target -> source -> coefficients b |
     | `level` | u of the logs that were left out |
     | `steps` | octave -> heights of the strongest steps of these logs (`scatter`) |
@@ -159,7 +159,7 @@ class Bank:
     spread: Mapping[str, float] = field(default_factory=dict)
     low: Mapping[str, float] = field(default_factory=dict)
     high: Mapping[str, float] = field(default_factory=dict)
-    cells: Mapping[str, Sequence[Sequence[int]]] = field(default_factory=dict)
+    cells: Mapping[str, Sequence[int]] = field(default_factory=dict)
     models: Mapping[str, Mapping[str, tuple[float, ...]]] = field(default_factory=dict)
     level: Mapping[str, Sequence[float]] = field(default_factory=dict)
     steps: Mapping[str, Mapping[str, Sequence[float]]] = field(default_factory=dict)
@@ -208,7 +208,6 @@ class Bank:
             and names | set(self.used) <= set(CHANNELS)
             and all(size > 0.0 for size in self.spread.values())
             and all(k.isdecimal() and x for by in steps for k, x in by.items())
-            and all(len(cell) == _CELL.size for each in self.cells.values() for cell in each)
             and all({*filter(is_measured, names - {i})} <= set(self.models[i]) for i in names)
             and all(len(b) == FEATURES for row in self.models.values() for b in row.values())
             and set(map(str, STRETCHES)) <= set(self.stretch)
@@ -273,23 +272,11 @@ class Bank:
         found = replace(self.priors.steps, logs=0.0).limits(seen, share)
         return {name: each[0] for name, each in found.items()}
 
-    def lateness(self, found: Mapping[tuple[str, str], float], name: str) -> float:
-        """By how much a channel is later than usual in s, as others agree; NaN of fewer than 2."""
-        return excess(self.delays.get(name, {}), found, name)
-
-    @cached_property
-    def usual(self) -> dict[str, float]:
-        """Size within which two levels of three are."""
-        return {name: each.limit(0.3173) for name, each in self.scatter.items()}
-
     @cached_property
     def _covered(self) -> dict[str, IntArray]:
         """Source -> codes of its cells and of those next to them, sorted."""
         seen = {name: np.asarray(each, dtype=np.int64) for name, each in self.cells.items()}
-        return {
-            name: np.unique((codes_of(each.reshape(-1, 3))[:, None] + _NEXT).ravel())
-            for name, each in seen.items()
-        }
+        return {name: np.unique((each[:, None] + _NEXT).ravel()) for name, each in seen.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -310,7 +297,7 @@ class Design:
             z = (air.x[name] - bank.centre[name]) / bank.spread[name]
             inside = np.clip(np.nan_to_num(bridge_gaps(z)), bank.low[name], bank.high[name])
             phi[name] = _features(inside, air, step_s or signals.step_s)
-            cells[name] = codes_of(_cells(air, z))
+            cells[name] = _cells(air, z)
         return cls(signals, air, phi, cells)
 
 
@@ -413,18 +400,9 @@ def _middle(parts: Sequence[FloatArray]) -> FloatArray:
 
 
 def _cells(air: Corrected, z: FloatArray) -> IntArray:
-    """Cell (time, 3) of each sample."""
+    """Code (time,) of the cell of each sample."""
     found = np.column_stack([np.nan_to_num(z), air.mach, air.log_delta]) / _CELL
-    return np.asarray(np.clip(np.floor(found), -1000.0, 1000.0), dtype=np.int64)
-
-
-def codes_of(cells: IntArray) -> IntArray:
-    return np.asarray((cells + 1500) @ _CODE)
-
-
-def cells_of(codes: IntArray) -> IntArray:
-    """Cells (cells, 3) by their numbers."""
-    return np.stack([codes // base % 3000 - 1500 for base in _CODE], axis=-1)
+    return np.asarray(np.clip(np.floor(found), -1000.0, 1000.0).astype(np.int64) + 1500) @ _CODE
 
 
 def blocks_of(found: Residuals, name: str) -> Blocks:

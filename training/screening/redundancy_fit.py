@@ -7,7 +7,7 @@ Loan 2013, section 6.5).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -28,8 +28,6 @@ from training.screening.redundancy import (
     Residuals,
     Signals,
     blocks_of,
-    cells_of,
-    codes_of,
     compared,
     delays_of,
     excess,
@@ -38,7 +36,7 @@ from training.screening.redundancy import (
     noise_of,
     recording_of,
 )
-from training.screening.scatter import PRIORS, Blocks, Priors, heights
+from training.screening.scatter import PRIORS, Priors, heights
 
 MOST_FOLDS = 6
 _LEAST_STEPS = 10  # of a log; fewer show no relation of channels
@@ -46,16 +44,6 @@ _RIDGE = 1e-4
 _ENGINE = frozenset({"output", "lever"})
 _LEAST_STAY_S = 10.0  # in a cell
 _RATIO_PRIOR = 0.15  # scatter of ln r(k) between logs
-
-
-def learn(logs: Sequence[Log], channels: Sequence[str], priors: Priors = PRIORS) -> Bank | None:
-    """Fit the bank to the engine channels that most of the prepared logs record.
-
-    `channels` are those of the model: the others support the comparison, and no fault of them is
-    reported. None where there are fewer than two. Each log is left out once to measure what is
-    left, of many logs groups of them; a single log is cut into halves.
-    """
-    return Pool.of(logs, priors).bank(channels)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,38 +82,37 @@ class Pool:
         return cls(scaling, tuple(next(found) if one else None for one in usable))
 
     def bank(self, channels: Sequence[str], without: Sequence[int] = ()) -> Bank | None:
-        """Learn the bank of all logs but those numbered `without`, as `learn` does."""
+        """Fit the bank to all logs but those numbered `without`; None without any.
+
+        `channels` are those of the model: the others support the comparison, and no fault of them
+        is reported. Each log is left out once to measure what is left, of many logs groups of them;
+        a single log is cut into halves.
+        """
         kept = [one for k, one in enumerate(self.parts) if one is not None and k not in without]
         if not kept:
             return None
         parts = kept if len(kept) > 1 else _halves(self.scaling, kept[0])
-        left_out: list[Residuals] = []
-        shown: list[_Part] = []
-        ratios: dict[float, list[float]] = {k: [] for k in STRETCHES}
+        left_out: dict[_Part, Residuals] = {}
         for fold in _folds(parts):
-            bank = self._fitted([one for one in parts if all(one is not each for each in fold)])
-            for one in fold:
-                found = compared(bank, one.design)
-                left_out.append(found)
-                shown.append(one)
-                for k in STRETCHES:
-                    ratios[k].append(log_ratio(found, k))
+            bank = self._fitted([one for one in parts if one not in fold])
+            left_out |= {one: compared(bank, one.design) for one in fold}
         logs = [one.log for one in kept]
         names, whole = self.scaling.channels, _longest(kept)
-        own = [one.log for one in shown]
-        mates = [mate_of(log, own) for log in own]
-        apart = [
-            one.apart_from(left_out[own.index(mate)])
-            for one, mate in zip(left_out, mates, strict=True)
-            if mate is not None
-        ]
-        of_whole = [one for one, part in zip(left_out, shown, strict=True) if part in whole]
+        of = {one.log: found for one, found in left_out.items()}
+        mates = {log: mate_of(log, [*of]) for log in of}
+        apart = [of[log].apart_from(of[mate]) for log, mate in mates.items() if mate is not None]
         return replace(
             self._fitted(kept),
-            level={name: _known([one.level(name) for one in of_whole]) for name in names},
-            steps={name: _heights([blocks_of(one, name) for one in left_out]) for name in names},
-            apart={name: _heights([blocks_of(one, name) for one in apart]) for name in names},
-            stretch={str(k): _mean_and_scatter(each) for k, each in ratios.items()},
+            level={
+                name: _known([found.level(name) for one, found in left_out.items() if one in whole])
+                for name in names
+            },
+            steps={name: _heights(left_out.values(), name) for name in names},
+            apart={name: _heights(apart, name) for name in names},
+            stretch={
+                str(k): _mean_and_scatter([log_ratio(found, k) for found in left_out.values()])
+                for k in STRETCHES
+            },
             delays=_mean_delays([one.delays for one in whole], names),
             late=_lateness([one.delays for one in whole], names),
             noise={
@@ -149,7 +136,7 @@ class Pool:
         cells = {}
         for name in names:
             stayed = np.sum([one.stays[name] for one in parts], axis=0) * step_s >= _LEAST_STAY_S
-            cells[name] = np.asarray(self.scaling.cells[name])[stayed].tolist()
+            cells[name] = np.asarray(self.scaling.cells[name], dtype=np.int64)[stayed].tolist()
         return replace(self.scaling, models=models, cells=cells)
 
 
@@ -201,7 +188,7 @@ def _parts(scaling: Bank, logs: Sequence[Log], designs: Sequence[Design]) -> lis
     for log, design, moments in zip(logs, designs, _moments(scaling, designs), strict=True):
         stays = {}
         for name in names:
-            codes = codes_of(np.asarray(scaling.cells[name], dtype=np.int64).reshape(-1, 3))
+            codes = scaling.cells[name]
             own = design.cells[name][np.isfinite(_in_known_air(design.air, name))]
             stays[name] = np.bincount(np.searchsorted(codes, own), minlength=len(codes))
         found.append(_Part(log, design, moments, stays, delays_of(log, names)))
@@ -225,10 +212,10 @@ def _scaled(logs: Sequence[Signals], names: Sequence[str]) -> tuple[Bank, list[D
     bank = replace(bank, centre=centre, spread=spread, low=low, high=high)
     designs = [Design.of(bank, one, names) for one in logs]
     cells = {
-        name: cells_of(np.unique(np.concatenate([one.cells[name] for one in designs])))
+        name: np.unique(np.concatenate([one.cells[name] for one in designs])).tolist()
         for name in names
     }
-    return replace(bank, cells={name: each.tolist() for name, each in cells.items()}), designs
+    return replace(bank, cells=cells), designs
 
 
 def _moments(scaling: Bank, designs: Sequence[Design]) -> list[FloatArray]:
@@ -315,11 +302,11 @@ def _lateness(logs: Sequence[Delays], names: Sequence[str]) -> dict[str, list[fl
     return found
 
 
-def _heights(logs: Sequence[Blocks]) -> dict[str, list[float]]:
+def _heights(logs: Iterable[Residuals], name: str) -> dict[str, list[float]]:
     """Octave -> largest heights of the logs that have stretches of such lengths."""
     found: dict[str, list[float]] = {}
     for one in logs:
-        for k, height in heights(one).items():
+        for k, height in heights(blocks_of(one, name)).items():
             found.setdefault(str(k), []).append(height)
     return found
 

@@ -31,6 +31,7 @@ from training.screening.redundancy import (
     STRETCHES,
     Bank,
     delays_of,
+    excess,
     log_ratio,
     minutes_of,
     noise_of,
@@ -119,7 +120,8 @@ def _noisy(subject: Subject) -> Iterator[Finding]:
         if coarse := _coarse(subject, name):
             yield coarse
             continue
-        matters = 0.5 * subject.bank.usual[name] * abs(subject.bank.centre[name])
+        usual = subject.bank.scatter[name].limit(0.3173)  # two levels of three are within
+        matters = 0.5 * usual * abs(subject.bank.centre[name])
         own, limit = noise_of(subject.log, name), max(limits.get(name, np.inf), matters)
         for start, stop in spans(own > limit):
             size = float(np.median(own[start:stop])), CHANNELS[name].unit
@@ -144,7 +146,7 @@ def _coarse(subject: Subject, name: str) -> Finding | None:
 def _late(subject: Subject) -> Iterator[Finding]:
     """The channel that is later against all others than in the training logs."""
     bank, found = subject.bank, delays_of(subject.log, subject.channels)
-    late = {name: bank.lateness(found, name) for name in subject.channels}
+    late = {n: excess(bank.delays.get(n, {}), found, n) for n in subject.channels}
     limits = {n: max(_LEAST_DELAY_S, bank.late_scatter[n].limit(subject.share)) for n in late}
     late = {name: delay_s for name, delay_s in late.items() if abs(delay_s) > limits[name]}
     if late:
