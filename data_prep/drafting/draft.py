@@ -77,7 +77,6 @@ class Line:
     assumed: float = 1.0
 
     def __str__(self) -> str:
-        """Return the line in TOML."""
         keys = ", ".join(f"{key} = {in_toml(value)}" for key, value in self.keys.items())
         return f"{self.channel} = {{ {keys} }}  # {self.why}"
 
@@ -433,7 +432,6 @@ class _Drafting:
         return _high(values, 0.001), _high(values)
 
     def _possible(self, name: str, columns: Sequence[str]) -> list[str]:
-        """Return the units in which the highest value of a running engine, and all, are usual."""
         low, high = self._range(columns)
         possible = []
         for unit in usual_units(name):
@@ -501,7 +499,6 @@ class _Drafting:
 
 
 def _as_said(name: str, keys: _Keys, said: str, seen: str) -> Line:
-    """Return the line of a channel whose unit the file or the name says."""
     if not said:
         return Line(name, keys, f"has no unit; {seen}")
     if is_volume_flow(said):

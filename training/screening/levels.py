@@ -74,7 +74,6 @@ class LevelCheck:
 
     @property
     def late(self) -> bool:
-        """Whether the lag is beyond the spread."""
         return self.allowed_lag_s is not None and abs(self.lag_s) > self.allowed_lag_s
 
     def row(self) -> dict[str, Any]:

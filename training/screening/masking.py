@@ -109,7 +109,6 @@ class TrainingData:
 
 
 def _counts(log: Log, recorded: Log) -> dict[str, int]:
-    """Channel -> samples that were masked for a fault."""
     lost = {
         name: int((np.isfinite(recorded[name]) & ~np.isfinite(log[name])).sum())
         for name in recorded.channels

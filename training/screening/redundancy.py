@@ -75,7 +75,6 @@ class Signals:
         return cls(time_s, values, size * log.dt_s)
 
     def having(self, values: Values) -> Signals:
-        """Signals with some channels replaced."""
         return replace(self, values={**self.values, **values})
 
     def part(self, rows: slice) -> Signals:
@@ -112,7 +111,6 @@ class Corrected:
         return cls(x, scale, offset, mach, np.log(air.delta), known)
 
     def raw(self, name: str, corrected: FloatArray) -> FloatArray:
-        """Back to the canonical unit."""
         return corrected * self.scale[name] - self.offset[name]
 
 
@@ -239,7 +237,6 @@ class Bank:
 
     @cached_property
     def late_scatter(self) -> dict[str, Scatter]:
-        """What is known of the delay of each channel in one more log."""
         return self.priors.scatter.of_delays(
             {name: self.late.get(name, ()) for name in self.channels}
         )
@@ -344,7 +341,6 @@ class Residuals:
 
 
 def residuals(bank: Bank, signals: Signals, channels: Sequence[str]) -> Residuals:
-    """Compare the channels of one log with each other."""
     return compared(bank, Design.of(bank, signals, channels))
 
 
@@ -400,7 +396,6 @@ def _middle(parts: Sequence[FloatArray]) -> FloatArray:
 
 
 def _cells(air: Corrected, z: FloatArray) -> IntArray:
-    """Code (time,) of the cell of each sample."""
     found = np.column_stack([np.nan_to_num(z), air.mach, air.log_delta]) / _CELL
     return np.asarray(np.clip(np.floor(found), -1000.0, 1000.0).astype(np.int64) + 1500) @ _CODE
 
@@ -437,7 +432,6 @@ def excess(usual: Mapping[str, float], found: Delays, name: str) -> float:
 
 
 def delays_of(log: Log, names: Sequence[str]) -> dict[tuple[str, str], float]:
-    """Delays between the channels of a log in s."""
     fine = Signals.of(log, DELAY_STEP_S)
     return delays_between({name: fine.values[name] for name in names}, fine.step_s)
 

@@ -141,7 +141,6 @@ class Pool:
 
 
 def _is_informative(log: Log) -> bool:
-    """Whether a log is long enough, and has samples of two engine channels."""
     engine = tuple(name for name in CHANNELS if CHANNELS[name].role in _ENGINE)
     enough = len(log) > 1 and len(log) * log.dt_s >= _LEAST_STEPS * STEP_S
     return enough and len(log.recorded(engine)) > 1
@@ -293,7 +292,6 @@ def _mean_delays(logs: Sequence[Delays], names: Sequence[str]) -> dict[str, dict
 
 
 def _lateness(logs: Sequence[Delays], names: Sequence[str]) -> dict[str, list[float]]:
-    """By how much each channel of each log was later than in the others."""
     found: dict[str, list[float]] = {name: [] for name in names}
     for k, one in enumerate(logs):
         usual = _mean_delays([*logs[:k], *logs[k + 1 :]], names)
@@ -312,7 +310,6 @@ def _heights(logs: Iterable[Residuals], name: str) -> dict[str, list[float]]:
 
 
 def _mean_and_scatter(values: Sequence[float]) -> tuple[float, float]:
-    """Mean of the finite values, and their scatter with the prior's."""
     known = np.array([each for each in values if np.isfinite(each)])
     if not len(known):
         return 0.0, 1.0

@@ -158,7 +158,6 @@ def _implied(found: Residuals, name: str, size: int) -> FloatArray:
 
 
 def _moving_spread(values: FloatArray, size: int) -> FloatArray:
-    """Standard deviation in a centred window."""
     centred = values - (np.nanmean(values) if np.isfinite(values).any() else 0.0)
     square = moving_mean(centred**2, size) - moving_mean(centred, size) ** 2
     return np.sqrt(np.maximum(square, 0.0))

@@ -91,7 +91,6 @@ class Subject:
 
     @cached_property
     def shown(self) -> Residuals:
-        """How the channels agree."""
         return residuals(self.bank, self.signals, self.channels)
 
     @cached_property
@@ -114,7 +113,6 @@ class Subject:
         )
 
     def having(self, values: Mapping[str, FloatArray]) -> Subject:
-        """The same with other values of some channels."""
         return replace(self, signals=self.signals.having(values))
 
     def after(self, findings: Sequence[Finding]) -> Subject:
