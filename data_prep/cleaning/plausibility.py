@@ -69,8 +69,7 @@ def of_cleaning(log: Log) -> Log:
             span_s = max(start_s, float(log.time_s[0])), min(stop_s, float(log.time_s[-1]))
             if span_s[1] > span_s[0]:
                 kind, text = kinds[entry.reason]
-                one = Finding(kind, entry.channel, *span_s, evidence=text, log=log.name)
-                found.append(replace(one, origin_s=float(log.time_s[0])))
+                found.append(log.finding(kind, entry.channel, text, span_s))
     return replace(log, findings=(*log.findings, *found)) if found else log
 
 
@@ -115,7 +114,7 @@ def _units(log: Log) -> Iterator[Finding]:
         word = _unit(channel, known)
         if word:
             text = f"looks like {word}: median {np.median(known):.4g} {channel.unit}"
-            yield Finding("unit", name, evidence=text, log=log.name)
+            yield log.finding("unit", name, text)
 
 
 def _unit(channel: Channel, known: FloatArray) -> str:
@@ -200,18 +199,13 @@ def _moves(log: Log, name: str, start: int, stop: int) -> bool:
 
 def _stuck(log: Log, name: str, start: int, stop: int) -> Finding:
     text = f"stays at {log[name][start]:.4g} while others move"
-    start_s, end_s = _span(log, start, stop)
-    began_s = float(log.time_s[0])
-    return Finding("stuck", name, start_s, end_s, evidence=text, log=log.name, origin_s=began_s)
+    return log.finding("stuck", name, text, _span_s(log, start, stop))
 
 
-_Span = tuple[float, float] | tuple[None, None]
-
-
-def _span(log: Log, start: int, stop: int) -> _Span:
+def _span_s(log: Log, start: int, stop: int) -> tuple[float, float] | None:
     """Times of rows `start:stop`; None where they are the whole log."""
     if stop - start > _WHOLE * len(log):
-        return None, None
+        return None
     return float(log.time_s[start]), float(log.time_s[stop - 1])
 
 
@@ -278,28 +272,26 @@ def _air(log: Log) -> Iterator[Finding]:
         yield from stopped
     elif len({name for name, *_ in mended}) == 1:
         name, kind, text = mended[0]
-        yield Finding(kind, name, evidence=text, log=log.name)
+        yield log.finding(kind, name, text)
     else:
         order = tuple(name for name in _AIR if name in suspected)
-        text = f"contradicts the other air data{_mach_ratio(log)}"
-        if len(order) > 1:
+        if len(order) == 1:
+            text = f"contradicts the other air data{_mach_ratio(log)}"
+            yield log.finding("inconsistent", order[0], text, _stretch_s(log, wrong, flies))
+        else:
             text = f"{' and '.join(order)} contradict each other{_mach_ratio(log)}"
-        start_s, end_s = _stretch(log, wrong, flies) if len(order) == 1 else (None, None)
-        yield Finding(
-            "inconsistent", order[0], start_s, end_s,
-            evidence=text, partner=order[1] if len(order) > 1 else "", log=log.name,
-        )  # fmt: skip
+            yield log.finding("inconsistent", order[0], text, partner=order[1])
 
 
-def _stretch(log: Log, wrong: BoolArray, flies: BoolArray) -> _Span:
+def _stretch_s(log: Log, wrong: BoolArray, flies: BoolArray) -> tuple[float, float] | None:
     """The stretch that holds all that is wrong, if most of it is, and flight goes on outside."""
     rows = np.flatnonzero(wrong)
     inside = slice(rows[0], rows[-1] + 1)
     mostly = np.mean(wrong[inside][flies[inside]]) > _EXPLAINED
     outside = flies.sum() - flies[inside].sum()
     if not mostly or outside < _FAILED * flies.sum():
-        return None, None
-    return _span(log, int(rows[0]), int(rows[-1]) + 1)
+        return None
+    return _span_s(log, int(rows[0]), int(rows[-1]) + 1)
 
 
 def _stopped(log: Log, suspected: set[str], wrong: BoolArray) -> Iterator[Finding]:

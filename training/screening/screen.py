@@ -110,7 +110,7 @@ def _slow_updates(subject: Subject) -> Iterator[Finding]:
         usual_s = subject.bank.updates.get(name, 0.0)
         if every_s > max(_LEAST_UPDATE_S, _SELDOM * usual_s, _SELDOM * subject.log.dt_s):
             text = f"changes every {every_s:.2g} s only, every {usual_s:.2g} s in the training logs"
-            yield subject.finding("held", name, text, (every_s, "s"))
+            yield subject.log.finding("held", name, text, size=every_s, unit="s")
 
 
 def _noisy(subject: Subject) -> Iterator[Finding]:
@@ -124,11 +124,11 @@ def _noisy(subject: Subject) -> Iterator[Finding]:
         matters = 0.5 * usual * abs(subject.bank.centre[name])
         own, limit = noise_of(subject.log, name), max(limits.get(name, np.inf), matters)
         for start, stop in spans(own > limit):
-            size = float(np.median(own[start:stop])), CHANNELS[name].unit
-            text = f"noise of {size[0]:.2g} {size[1]}, sound logs have less than {limit:.2g}"
+            size, unit = float(np.median(own[start:stop])), CHANNELS[name].unit
+            text = f"noise of {size:.2g} {unit}, sound logs have less than {limit:.2g}"
             first, last = time_s[minutes_of(subject.log)[[start, stop]] - [0, 1]].tolist()
             span_s = (first, last) if stop - start < len(own) else None
-            yield subject.finding("noise", name, text, size, span_s)
+            yield subject.log.finding("noise", name, text, span_s, size=size, unit=unit)
 
 
 def _coarse(subject: Subject, name: str) -> Finding | None:
@@ -140,7 +140,7 @@ def _coarse(subject: Subject, name: str) -> Finding | None:
     unit = CHANNELS[name].unit
     text = f"moves in steps of {step:.3g} {unit}, of {usual:.3g} in the training logs; Ti of a "
     text += f"small response is read at {tenth:.2g}"
-    return subject.finding("noise", name, text, (step, unit))
+    return subject.log.finding("noise", name, text, size=step, unit=unit)
 
 
 def _late(subject: Subject) -> Iterator[Finding]:
@@ -153,7 +153,7 @@ def _late(subject: Subject) -> Iterator[Finding]:
         name = max(late, key=lambda each: abs(late[each]))
         word = "late" if late[name] > 0.0 else "early"
         text = f"{abs(late[name]):.2g} s {word} against {subject.others(name)}"
-        yield subject.finding("late", name, text, (late[name], "s"))
+        yield subject.log.finding("late", name, text, size=late[name], unit="s")
 
 
 def _stretched(bank: Bank, logs: Sequence[Log]) -> list[list[Finding]]:
@@ -181,11 +181,7 @@ def _stretched(bank: Bank, logs: Sequence[Log]) -> list[list[Finding]]:
                 word, times = "long" if stretch > 1.0 else "short", max(stretch, 1.0 / stretch)
                 text = f"all responses are {times:g} times as {word} as in the training logs"
                 for k in own:
-                    found[k] = [
-                        Finding(
-                            "stretched", "time_s", size=stretch, evidence=text, log=logs[k].name
-                        )
-                    ]
+                    found[k] = [logs[k].finding("stretched", "time_s", text, size=stretch)]
                 break
     return found
 
@@ -218,16 +214,14 @@ def _wrong_unit_or_swap(subject: Subject) -> list[Finding]:
     comparable = len(subject.levels) == len(subject.sensed)
     if not subject.whole or (comparable and subject.sound):
         return []
-    least = _one_at_fault(subject) if comparable else -np.inf
     likely: list[tuple[float, Finding]] = []
     for found, values in _alternatives(subject):
         other = subject.having(values)
-        if other.sound and len(other.levels) >= len(
-            subject.levels if comparable else subject.sensed
-        ):
+        if len(other.levels) == len(subject.sensed) and other.sound:
             likely.append((_log_likelihood(subject, other.levels), found))
-    best, found = max(likely, key=lambda each: each[0], default=(-np.inf, None))
-    return [found] if found is not None and best > least else []
+    best = max(likely, key=lambda each: each[0], default=None)
+    least = _one_at_fault(subject) if comparable else -np.inf
+    return [best[1]] if best and best[0] > least else []
 
 
 def _alternatives(subject: Subject) -> Iterator[tuple[Finding, Mapping[str, FloatArray]]]:
@@ -236,12 +230,12 @@ def _alternatives(subject: Subject) -> Iterator[tuple[Finding, Mapping[str, Floa
     for a, b in combinations(subject.sensed, 2):
         if CHANNELS[a].unit == CHANNELS[b].unit:
             text = f"{symbol(a)} and {symbol(b)} fit the training logs when exchanged"
-            found = subject.finding("exchanged", a, text, (np.nan, ""))
-            yield replace(found, partner=b), {a: values[b], b: values[a]}
+            found = subject.log.finding("exchanged", a, text, partner=b)
+            yield found, {a: values[b], b: values[a]}
     for name in subject.log.recorded(subject.sensed):
         for words, unit in conversions(name).items():
             text = f"looks like {words}: median {np.nanmedian(subject.log[name]):.4g}"
-            found = subject.finding("unit", name, text, (1.0 / unit.scale, ""))
+            found = subject.log.finding("unit", name, text, size=1.0 / unit.scale)
             yield found, {name: to_canonical(values[name], unit)}
 
 

@@ -122,8 +122,8 @@ def motionless(subject: Subject, name: str) -> Iterator[Finding]:
         reach = time_s[[start, stop - 1]] + [-0.5 * step_s, 0.5 * step_s]
         span_s = float(max(reach[0], ends[0])), float(min(reach[1], ends[1]))
         everywhere = stop - start > _MOSTLY * len(y)
-        size_of = level, CHANNELS[name].unit
-        yield subject.finding("stuck", name, text, size_of, None if everywhere else span_s)
+        about = None if everywhere else span_s
+        yield subject.log.finding("stuck", name, text, about, size=level, unit=CHANNELS[name].unit)
 
 
 def _in_steps(values: FloatArray) -> bool:

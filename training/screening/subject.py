@@ -124,21 +124,6 @@ class Subject:
                 values[each.channel] = np.where(inside, np.nan, values[each.channel])
         return replace(self.having(values), findings=(*self.findings, *findings))
 
-    def finding(
-        self,
-        kind: Kind,
-        name: str,
-        text: str,
-        size: tuple[float, str],
-        span_s: tuple[float, float] | None = None,
-    ) -> Finding:
-        """A finding about the log, or about a stretch of it; `size` with its unit."""
-        start_s, end_s = span_s or (None, None)
-        return Finding(
-            kind, name, start_s, end_s, *size, evidence=text,
-            log=self.log.name, origin_s=float(self.log.time_s[0]) if span_s else 0.0,
-        )  # fmt: skip
-
     def misfit(
         self, found: Residuals, name: str, level: float, span_s: tuple[float, float] | None = None
     ) -> Finding:
@@ -154,8 +139,9 @@ class Subject:
         probability = float(np.clip(1.0 - chance, 0.0, 0.9999))
         if span_s:
             probability = max(probability, 1.0 - self.alarms)
-        found_here = self.finding(kind, name, text, (size, unit), span_s)
-        return replace(found_here, probability=probability)
+        return self.log.finding(
+            kind, name, text, span_s, size=size, unit=unit, probability=probability
+        )
 
     def others(self, name: str) -> str:
         """The channels that one is compared with, in words."""
