@@ -397,7 +397,8 @@ def _middle(parts: Sequence[FloatArray]) -> FloatArray:
 
 def _cells(air: Corrected, z: FloatArray) -> IntArray:
     found = np.column_stack([np.nan_to_num(z), air.mach, air.log_delta]) / _CELL
-    return np.asarray(np.clip(np.floor(found), -1000.0, 1000.0).astype(np.int64) + 1500) @ _CODE
+    cells = np.clip(np.floor(found), -1000.0, 1000.0).astype(np.int64)
+    return np.asarray((cells + 1500) @ _CODE)
 
 
 def blocks_of(found: Residuals, name: str) -> Blocks:
