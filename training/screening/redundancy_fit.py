@@ -273,31 +273,21 @@ def _known(levels: Sequence[float]) -> list[float]:
 
 def _longest(parts: Sequence[_Part]) -> list[_Part]:
     """The longest part of each recording of an engine: it stands for the recording as a whole."""
-    found: dict[tuple[str, str], _Part] = {}
+    found: dict[tuple[str, str], list[_Part]] = {}
     for one in parts:
-        key = recording_of(one.log)
-        if key not in found or len(one.log) > len(found[key].log):
-            found[key] = one
-    return list(found.values())
+        found.setdefault(recording_of(one.log), []).append(one)
+    return [max(own, key=lambda one: len(one.log)) for own in found.values()]
 
 
 def _mean_delays(logs: Sequence[Delays], names: Sequence[str]) -> dict[str, dict[str, float]]:
-    table: dict[str, dict[str, float]] = {name: {} for name in names}
-    for i in names:
-        for j in names:
-            seen = [one[i, j] for one in logs if (i, j) in one]
-            if seen:
-                table[i][j] = float(np.mean(seen))
-    return table
+    seen = {(i, j): [one[i, j] for one in logs if (i, j) in one] for i in names for j in names}
+    return {i: {j: float(np.mean(seen[i, j])) for j in names if seen[i, j]} for i in names}
 
 
 def _lateness(logs: Sequence[Delays], names: Sequence[str]) -> dict[str, list[float]]:
-    found: dict[str, list[float]] = {name: [] for name in names}
-    for k, one in enumerate(logs):
-        usual = _mean_delays([*logs[:k], *logs[k + 1 :]], names)
-        for name in names:
-            found[name] += _known([excess(usual[name], one, name)])
-    return found
+    usual = [_mean_delays([*logs[:k], *logs[k + 1 :]], names) for k in range(len(logs))]
+    pairs = list(zip(usual, logs, strict=True))
+    return {name: _known([excess(mean[name], one, name) for mean, one in pairs]) for name in names}
 
 
 def _heights(logs: Iterable[Residuals], name: str) -> dict[str, list[float]]:
