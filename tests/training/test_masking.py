@@ -42,7 +42,8 @@ def test_an_input_that_is_lost_for_long_divides_the_log(sound):
     fuel = log["FF_kgph"].copy()
     fuel[2000:2600] = np.nan
     fuel[4000:4005] = np.nan
-    found = training_data(Split((log.with_channels({"FF_kgph": fuel}), *sound[1:]), (), ()), CONFIG)
+    split = Split((log.with_channels({"FF_kgph": fuel}), *sound[1:]), (), ())
+    found = training_data(split, CONFIG, screen=False)
     first, second, *others = found.split.train
     assert (len(first), len(second)) == (2000, ROWS - 2600)
     assert [len(each) for each in others] == [ROWS, ROWS]
@@ -52,7 +53,7 @@ def test_an_input_that_is_lost_for_long_divides_the_log(sound):
 
 def test_a_part_too_short_for_a_response_is_left_out_and_counted(sound):
     short = sound[0].part(0, 2)
-    found = training_data(Split((short, *sound[1:]), (), ()), CONFIG)
+    found = training_data(Split((short, *sound[1:]), (), ()), CONFIG, screen=False)
     assert [len(each) for each in found.split.train] == [ROWS, ROWS]
     assert found.row()["logs"][0]["left_out_rows"] == 2
 
