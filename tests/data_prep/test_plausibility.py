@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from data_prep.cleaning.plausibility import checked, rounding_step, unchecked_air, update_interval
 from data_prep.log import Finding, Log
 from data_prep.prepare import prepare
+from data_prep.sources.units import conversions, to_canonical
 from narxcal.atmosphere import KELVIN, SOUND_KT, T0_K, isa, mach_of_cas
 
 DT_S = 0.5
@@ -66,6 +67,14 @@ def test_units_outside_of_the_physical_range_are_named(channel, factor, text):
     [fault] = checked(flight(**{channel: lambda x: factor * x})).findings
     assert (fault.kind, fault.channel, fault.local) == ("unit", channel, False)
     assert fault.evidence.startswith(text)
+
+
+@pytest.mark.parametrize("channel", ["N1_pct", "EGT_C", "FF_kgph", "ALT_ft", "CAS_kt"])
+def test_a_conversion_of_what_is_in_the_right_unit_is_undone(channel):
+    found, values = conversions(channel), np.linspace(-3.0, 700.0, 9)
+    for words in (each for each in found if ", taken for " in each):
+        wrong = to_canonical(values, found[words.rpartition(", taken for ")[2]])
+        np.testing.assert_allclose(to_canonical(wrong, found[words]), values, atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -185,11 +185,10 @@ class Bank:
 
         Raises `ModelError` where a part is missing, of another type, or does not fit the channels.
         """
-        known = {name: stored[name] for name in cls._stored() if name in stored}
-        found = read_stored(cls, known, "redundancy")
-        lacking = [name for name in cls._stored() if name not in stored]
-        if lacking:
-            raise ModelError(f"the part 'redundancy' has no '{lacking[0]}'", hint=ALTERED)
+        names = cls._stored()
+        if lacking := next((name for name in names if name not in stored), ""):
+            raise ModelError(f"the part 'redundancy' has no '{lacking}'", hint=ALTERED)
+        found = read_stored(cls, {name: stored[name] for name in names}, "redundancy")
         if not found.complete:
             raise ModelError("the part 'redundancy' does not fit its channels", hint=ALTERED)
         return found
@@ -222,11 +221,7 @@ class Bank:
 
     def covers(self, design: Design, source: str) -> BoolArray:
         """Whether training logs have been in or next to the cell of each sample (time,)."""
-        known, cells = self._covered[source], design.cells[source]
-        if not len(known):
-            return np.zeros(len(cells), dtype=np.bool_)
-        nearest = np.minimum(np.searchsorted(known, cells), len(known) - 1)
-        return np.asarray(known[nearest] == cells)
+        return np.isin(design.cells[source], self._covered[source])
 
     @cached_property
     def scatter(self) -> dict[str, Scatter]:
@@ -271,7 +266,7 @@ class Bank:
 
     @cached_property
     def _covered(self) -> dict[str, IntArray]:
-        """Source -> codes of its cells and of those next to them, sorted."""
+        """Source -> codes of its cells and of those next to them."""
         seen = {name: np.asarray(each, dtype=np.int64) for name, each in self.cells.items()}
         return {name: np.unique((each[:, None] + _NEXT).ravel()) for name, each in seen.items()}
 
