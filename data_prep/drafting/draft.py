@@ -260,10 +260,8 @@ class _Drafting:
         commands = chosen.pop("command", [])
         if "TRA_deg" not in chosen and commands:
             lines.append(self._lever(commands))
-        for name in (each for each in CHANNELS if each in chosen):
-            line = self._line(name, chosen[name], air)
-            if line:
-                lines.append(line)
+        found = (self._line(name, chosen[name], air) for name in CHANNELS if name in chosen)
+        lines += [line for line in found if line]
         engines = {_engine_name(mark): mark for mark in marks}
         others = self._others(marks)
         own = [str(line.keys["column"]) for line in others]
@@ -432,14 +430,13 @@ class _Drafting:
         return _high(values, 0.001), _high(values)
 
     def _possible(self, name: str, columns: Sequence[str]) -> list[str]:
-        low, high = self._range(columns)
-        possible = []
-        for unit in usual_units(name):
-            least, most = to_canonical(np.array([low, high]), find_unit(unit, name))
-            bounds = _HIGHEST.get(name, (CHANNELS[name].low, CHANNELS[name].high))
-            if least >= CHANNELS[name].low - 1.0 and _within(float(most), bounds):
-                possible.append(unit)
-        return possible
+        floor, recorded = CHANNELS[name].low - 1.0, np.array(self._range(columns))
+        bounds = _HIGHEST.get(name, (CHANNELS[name].low, CHANNELS[name].high))
+        ranges = {
+            unit: to_canonical(recorded, find_unit(unit, name)).tolist()
+            for unit in usual_units(name)
+        }
+        return [u for u, (low, high) in ranges.items() if low >= floor and _within(high, bounds)]
 
     def _own_lever(self, columns: Sequence[str]) -> Line:
         keys, said = self._column(columns), self._unit(columns[0])
