@@ -86,6 +86,7 @@ class Signals:
 class Corrected:
     """Corrected engine channels, and the air they are in; `known` (time,) where it is."""
 
+    signals: Signals
     x: Values
     scale: Mapping[str, FloatArray]
     offset: Mapping[str, float]
@@ -108,7 +109,7 @@ class Corrected:
             factor, offset[name] = corrected_scale(name, air)
             scale[name] = np.broadcast_to(np.asarray(factor, dtype=np.float64), zero.shape)
             x[name] = (signals.values[name] + offset[name]) / scale[name]
-        return cls(x, scale, offset, mach, np.log(air.delta), known)
+        return cls(signals, x, scale, offset, mach, np.log(air.delta), known)
 
     def raw(self, name: str, corrected: FloatArray) -> FloatArray:
         return corrected * self.scale[name] - self.offset[name]
@@ -275,22 +276,20 @@ class Bank:
 class Design:
     """What models are applied to: corrected channels of one log, features and cells of each."""
 
-    signals: Signals
     air: Corrected
     phi: Values  # (time, 16)
     cells: Mapping[str, IntArray]
 
     @classmethod
-    def of(cls, bank: Bank, signals: Signals, names: Sequence[str], step_s: float = 0.0) -> Self:
-        """Scale the channels `names` as the bank does; `step_s` replaces that of the signals."""
-        air = Corrected.of(signals, names)
+    def of(cls, bank: Bank, air: Corrected, step_s: float = 0.0) -> Self:
+        """Scale channels as the bank does; `step_s` replaces that of the signals."""
         phi, cells = {}, {}
-        for name in names:
-            z = (air.x[name] - bank.centre[name]) / bank.spread[name]
+        for name, x in air.x.items():
+            z = (x - bank.centre[name]) / bank.spread[name]
             inside = np.clip(np.nan_to_num(bridge_gaps(z)), bank.low[name], bank.high[name])
-            phi[name] = _features(inside, air, step_s or signals.step_s)
+            phi[name] = _features(inside, air, step_s or air.signals.step_s)
             cells[name] = _cells(air, z)
-        return cls(signals, air, phi, cells)
+        return cls(air, phi, cells)
 
 
 # Cells of (source in its spread, Mach number, ln delta) in which, or next to which, training logs
@@ -305,12 +304,15 @@ class Residuals:
     """Residuals of one log; all values (time,), in units of `Residuals.scale`."""
 
     bank: Bank
-    signals: Signals
     channels: tuple[str, ...]
     errors: Mapping[str, Values]  # e: target -> source
     expected: Values  # corrected
     agreed: Values  # r
     corrected: Corrected
+
+    @property
+    def signals(self) -> Signals:
+        return self.corrected.signals
 
     def scale(self, name: str) -> FloatArray:
         """Unit of r of a channel: d, corrected."""
@@ -336,7 +338,7 @@ class Residuals:
 
 
 def residuals(bank: Bank, signals: Signals, channels: Sequence[str]) -> Residuals:
-    return compared(bank, Design.of(bank, signals, channels))
+    return compared(bank, Design.of(bank, Corrected.of(signals, channels)))
 
 
 def compared(bank: Bank, design: Design) -> Residuals:
@@ -357,7 +359,7 @@ def compared(bank: Bank, design: Design) -> Residuals:
         unit = bank.unit(i, expected[i])
         errors[i] = {j: np.where(testable[j], (air.x[i] - known[j]) / unit, np.nan) for j in known}
         agreed[i] = agreement(list(errors[i].values()))
-    return Residuals(bank, design.signals, channels, errors, expected, agreed, air)
+    return Residuals(bank, channels, errors, expected, agreed, air)
 
 
 def is_measured(name: str) -> bool:
@@ -458,9 +460,8 @@ def log_ratio(found: Residuals, stretch: float) -> float:
     r(k) is what the residual would be, were the stamps stretched by k, over what it is. NaN where
     nothing moves.
     """
-    signals = found.signals
-    design = Design.of(found.bank, signals, found.channels, signals.step_s / stretch)
-    stretched = compared(found.bank, design)
+    step_s = found.signals.step_s / stretch
+    stretched = compared(found.bank, Design.of(found.bank, found.corrected, step_s))
     size = round(_DYNAMIC_S / found.signals.step_s)
     shown = [x for x in found.corrected.x.values() if np.isfinite(x).any()]
     motion = np.abs(shown[0] - moving_mean(shown[0], size // 5)) if shown else np.full(1, np.nan)

@@ -126,7 +126,7 @@ class Pool:
         )
 
     def _fitted(self, parts: Sequence[_Part]) -> Bank:
-        names, step_s = self.scaling.channels, parts[0].design.signals.step_s
+        names, step_s = self.scaling.channels, parts[0].design.air.signals.step_s
         moments = np.sum([one.moments for one in parts], axis=0)
         models: dict[str, dict[str, tuple[float, ...]]] = {name: {} for name in names}
         for j, source in enumerate(names):
@@ -168,7 +168,7 @@ def _folds(parts: Sequence[_Part]) -> list[list[_Part]]:
         files.setdefault(recording_of(one.log)[0], []).append(one)
     groups = list(files.values())
     if len(groups) == 1:
-        ordered = sorted(parts, key=lambda one: float(one.design.signals.time_s[0]))
+        ordered = sorted(parts, key=lambda one: float(one.design.air.signals.time_s[0]))
         size = -(-len(ordered) // MOST_FOLDS)
         groups = [ordered[k : k + size] for k in range(0, len(ordered), size)]
     count = min(MOST_FOLDS, len(groups))
@@ -176,9 +176,10 @@ def _folds(parts: Sequence[_Part]) -> list[list[_Part]]:
 
 
 def _halves(scaling: Bank, whole: _Part) -> list[_Part]:
-    signals, middle = whole.design.signals, len(whole.design.signals.time_s) // 2
+    signals = whole.design.air.signals
+    middle = len(signals.time_s) // 2
     parts = [signals.part(slice(None, middle)), signals.part(slice(middle, None))]
-    designs = [Design.of(scaling, one, scaling.channels) for one in parts]
+    designs = [Design.of(scaling, Corrected.of(one, scaling.channels)) for one in parts]
     return _parts(scaling, [whole.log] * 2, designs)
 
 
@@ -209,7 +210,7 @@ def _scaled(logs: Sequence[Signals], names: Sequence[str]) -> tuple[Bank, list[D
         low[name] = float(ends[0] - margin) / spread[name]
         high[name] = float(ends[1] + margin) / spread[name]
     bank = replace(bank, centre=centre, spread=spread, low=low, high=high)
-    designs = [Design.of(bank, one, names) for one in logs]
+    designs = [Design.of(bank, one) for one in air]
     cells = {
         name: np.unique(np.concatenate([one.cells[name] for one in designs])).tolist()
         for name in names
