@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data_prep.log import Finding, Source
+from data_prep.log import Finding
 from narxcal.support.errors import DataError
-from tests.training.test_screening import DT_S, ROWS, engine
+from tests.training.test_screening import DT_S, ROWS, flights
 from training.config import RunConfig
 from training.records import Split
 from training.screening.masking import training_data
@@ -28,13 +28,9 @@ CONFIG = RunConfig.parse(
 )  # fmt: skip
 
 
-def flight(seed):
-    return replace(engine(seed), source=Source(f"{seed}.csv", f"sha-{seed}"))
-
-
 @pytest.fixture(scope="module")
 def sound():
-    return [flight(seed) for seed in (1, 2, 3)]
+    return flights(1, 2, 3)
 
 
 def test_an_input_that_is_lost_for_long_divides_the_log(sound):

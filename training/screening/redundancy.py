@@ -304,7 +304,6 @@ class Residuals:
     """Residuals of one log; all values (time,), in units of `Residuals.scale`."""
 
     bank: Bank
-    channels: tuple[str, ...]
     errors: Mapping[str, Values]  # e: target -> source
     expected: Values  # corrected
     agreed: Values  # r
@@ -359,7 +358,7 @@ def compared(bank: Bank, design: Design) -> Residuals:
         unit = bank.unit(i, expected[i])
         errors[i] = {j: np.where(testable[j], (air.x[i] - known[j]) / unit, np.nan) for j in known}
         agreed[i] = agreement(list(errors[i].values()))
-    return Residuals(bank, channels, errors, expected, agreed, air)
+    return Residuals(bank, errors, expected, agreed, air)
 
 
 def is_measured(name: str) -> bool:

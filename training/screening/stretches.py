@@ -109,7 +109,7 @@ def motionless(subject: Subject, name: str) -> Iterator[Finding]:
     limits = subject.step_limits[name]
     scatter = 0.5 * limits.get(1, limits.get(0, np.inf)) * abs(subject.bank.centre[name])
     least = np.maximum(scatter * found.corrected.scale[name], 3.0 * resolution(y))
-    if subject.mate is not None and name in subject.mate.channels:
+    if subject.mate is not None and name in subject.mate.errors:
         # The other engine moves, too, while this one's channel stays.
         implied = np.minimum(implied, _moving_spread(subject.mate.signals.values[name], size))
     quiet = (own < _STILL * implied) & (implied > least)
