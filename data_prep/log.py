@@ -234,6 +234,22 @@ class Log:
         """Unit, role, physical range and meaning of a channel."""
         return self.declared.get(name) or described(name)
 
+    def finding(
+        self,
+        kind: Kind,
+        channel: str,
+        evidence: str,
+        span_s: tuple[float, float] | None = None,
+        **more: Any,
+    ) -> Finding:
+        """Say what is wrong with a channel in a stretch of the log, or in all of it."""
+        start_s, end_s = span_s or (None, None)
+        began_s = float(self.time_s[0]) if span_s else 0.0
+        return Finding(
+            kind, channel, start_s, end_s,
+            evidence=evidence, log=self.name, origin_s=began_s, **more,
+        )  # fmt: skip
+
     def recorded(self, names: Sequence[str]) -> tuple[str, ...]:
         """Return those of `names` of which the log has a sample."""
         there = (name for name in names if name in self.channels)

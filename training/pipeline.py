@@ -53,7 +53,7 @@ from training.methods import TrainOptions, method_of
 from training.records import LEAST_WIDTHS, Split, split_logs
 from training.screening.levels import prior_scatter
 from training.screening.masking import training_data
-from training.screening.redundancy_fit import learn
+from training.screening.redundancy import Bank
 from training.steady.steady_fit import SteadyQuality
 
 T = TypeVar("T")
@@ -185,7 +185,7 @@ def _calibrated(config: RunConfig, base: Path, split: Split, options: TrainOptio
         free_run=free_run_fit(calibration, trained),
         fuser_noise=fuser_noise(calibration, split, held, trained).to_dict(),
         screening=ScreeningRecord.parse(steady_fit.learned.row()),
-        redundancy=redundancy_of(calibration, learned.train),
+        redundancy=redundancy_of(calibration, learned.bank),
         certificate=certificate,
         identities=identities,
         held_out=_held_out_record(calibration, held or trained, fitted=not held),
@@ -209,10 +209,12 @@ def input_reach(logs: Sequence[Log], names: Sequence[str]) -> tuple[FloatArray, 
     return np.minimum(low, beyond[0]), np.maximum(high, beyond[1])
 
 
-def redundancy_of(calibration: Calibration, logs: Sequence[Log]) -> dict[str, Any] | None:
-    """The bank that `evaluate` and `replay` check logs by; None where there is too little."""
-    bank = learn(logs, (*calibration.output_names, *calibration.input_names))
-    return None if bank is None else bank.to_json()
+def redundancy_of(calibration: Calibration, bank: Bank | None) -> dict[str, Any] | None:
+    """The bank that `evaluate` and `replay` check logs by, with the channels that are used."""
+    names = {*calibration.output_names, *calibration.input_names}
+    if bank is None:
+        return None
+    return replace(bank, used=tuple(n for n in bank.channels if n in names)).to_json()
 
 
 def free_run_fit(calibration: Calibration, trained: Sequence[HeldRun]) -> FitRecord:

@@ -25,7 +25,6 @@ from data_prep.cleaning.faults import (
     is_sensed,
     out_of_range,
     resolution,
-    role,
 )
 from data_prep.equilibrium import peak_to_peak
 from data_prep.log import LONG_SPAN_S, Action, AuditEntry, Log
@@ -114,7 +113,7 @@ class _Work:
     def run(self) -> None:
         """Run the tests, the surest first; later ones do not see what earlier ones removed."""
         self._drop(out_of_range(self.log.channel(self.name), self.values), "out of range")
-        if role(self.name) == "switch":
+        if self._role == "switch":
             return
         for start, stop in spans(frozen(self._current(), self.name, self.config.faults)):
             self._plateau(start, stop, "frozen")
@@ -125,7 +124,7 @@ class _Work:
                 self._plateau(start, stop, "spiking")
         self._drop(self._gross(self.config.sigmas), "spiking", repair_only=True)
         # Half a second off the median is no manoeuvre of an output; ambient channels may blip.
-        if self.log.channel(self.name).role == "output":
+        if self._role == "output":
             self._drop(self._gross(_BURST_FACTOR * self.config.sigmas), "spiking")
 
     def _current(self) -> Log:
@@ -170,8 +169,12 @@ class _Work:
 
     def _bridge(self) -> FloatArray:
         # A switch has no values in between: it keeps the last one.
-        fill = sample_and_hold if role(self.name) == "switch" else bridge_gaps
+        fill = sample_and_hold if self._role == "switch" else bridge_gaps
         return fill(self.values)
+
+    @property
+    def _role(self) -> str:
+        return self.log.channel(self.name).role
 
     def _note(self, mask: BoolArray, action: Action, reason: Reason) -> None:
         if not mask.any():

@@ -13,7 +13,7 @@ from pydantic import Field
 from scipy.ndimage import uniform_filter1d
 
 from data_prep.log import Log
-from narxcal.channels import SPOOLS, Channel, described
+from narxcal.channels import SPOOLS, Channel
 from narxcal.support.arrays import (
     BoolArray,
     FloatArray,
@@ -61,11 +61,6 @@ def resolution(values: FloatArray) -> float:
     steps = np.abs(np.diff(values))
     steps = steps[steps > 0.0]
     return float(np.percentile(steps, 5.0)) if len(steps) else 0.0
-
-
-def role(name: str) -> str:
-    """Look up the role of a channel; one outside the canonical table is an output."""
-    return described(name).role
 
 
 def is_sensed(channel: Channel) -> bool:
@@ -254,7 +249,7 @@ def _rests(log: Log, name: str, start: int, stop: int) -> bool:
     others = [
         robust_range(log[each][start:stop]) + robust_range(log[each])
         for each in log.recorded(tuple(log.channels))
-        if each != name and role(each) in {"lever", "output"}
+        if each != name and log.channel(each).role in {"lever", "output"}
     ]
     return bool(others) and all(b - a <= _REST * (high - low) for a, b, low, high in others)
 

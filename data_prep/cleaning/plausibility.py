@@ -24,8 +24,9 @@ import numpy as np
 
 from data_prep.cleaning.faults import out_of_range, repeats, unnatural
 from data_prep.log import Finding, Kind, Log
+from data_prep.sources.units import Unit, conversions, to_canonical
 from narxcal.atmosphere import KELVIN, SOUND_KT, T0_K, isa, mach_of_cas
-from narxcal.channels import CHANNELS, SPOOLS, Channel, described
+from narxcal.channels import CHANNELS, SPOOLS, Channel
 from narxcal.support.arrays import BoolArray, FloatArray, robust_range, spans
 
 _QUANTISED, _ONE_SIZE = 0.6, 0.02  # share of the changes that are of one size, to this part of it
@@ -34,46 +35,6 @@ _GAPS, _NEAR, _ON_GRID = 8, 0.05, 0.9
 _MANY = 0.2  # share of the samples outside of the physical range: no single errors, another unit
 _FEW = 0.01  # likewise, of single errors in the right unit
 _FRACTION = 1.6  # a spool speed below this all along is a ratio, not percent
-
-# Conversions that are missed or made twice: kind of unit -> (name, scale, offset) of the right one.
-CONVERSIONS: Mapping[str, tuple[tuple[str, float, float], ...]] = {
-    "degC": (
-        ("kelvin", 1.0, -KELVIN),
-        ("degF", 5.0 / 9.0, -160.0 / 9.0),
-        ("degR", 5.0 / 9.0, -KELVIN),
-        ("degC, taken for kelvin", 1.0, KELVIN),
-        ("degC, taken for degF", 1.8, 32.0),
-    ),
-    "%": (("fraction", 100.0, 0.0), ("percent, taken for a fraction", 0.01, 0.0)),
-    "-": (("percent", 0.01, 0.0),),
-    "kg/h": (
-        ("lb/h", 0.45359237, 0.0),
-        ("kg/h, taken for lb/h", 1.0 / 0.45359237, 0.0),
-        ("kg/s", 3600.0, 0.0),
-        ("lb/s", 3600.0 * 0.45359237, 0.0),
-        ("kg/min", 60.0, 0.0),
-        ("g/s", 3.6, 0.0),
-        ("lb/min", 60.0 * 0.45359237, 0.0),
-    ),
-    "ft": (
-        ("m", 1.0 / 0.3048, 0.0),
-        ("ft, taken for m", 0.3048, 0.0),
-        ("km", 1000.0 / 0.3048, 0.0),
-        ("flight level", 100.0, 0.0),
-    ),
-    "kt": (
-        ("m/s", 3600.0 / 1852.0, 0.0),
-        ("km/h", 1000.0 / 1852.0, 0.0),
-        ("kt, taken for m/s", 1852.0 / 3600.0, 0.0),
-        ("mph", 0.868976, 0.0),
-    ),
-    "kN": (("lbf", 0.0044482216, 0.0), ("N", 0.001, 0.0)),
-}
-
-
-def conversions(channel: str) -> tuple[tuple[str, float, float], ...]:
-    """Units that `channel` may be in instead: name, scale, offset of value -> canonical value."""
-    return () if channel == "dT_C" else CONVERSIONS.get(described(channel).unit, ())
 
 
 def checked(log: Log) -> Log:
@@ -108,8 +69,7 @@ def of_cleaning(log: Log) -> Log:
             span_s = max(start_s, float(log.time_s[0])), min(stop_s, float(log.time_s[-1]))
             if span_s[1] > span_s[0]:
                 kind, text = kinds[entry.reason]
-                one = Finding(kind, entry.channel, *span_s, evidence=text, log=log.name)
-                found.append(replace(one, origin_s=float(log.time_s[0])))
+                found.append(log.finding(kind, entry.channel, text, span_s))
     return replace(log, findings=(*log.findings, *found)) if found else log
 
 
@@ -154,7 +114,7 @@ def _units(log: Log) -> Iterator[Finding]:
         word = _unit(channel, known)
         if word:
             text = f"looks like {word}: median {np.median(known):.4g} {channel.unit}"
-            yield Finding("unit", name, evidence=text, log=log.name)
+            yield log.finding("unit", name, text)
 
 
 def _unit(channel: Channel, known: FloatArray) -> str:
@@ -166,10 +126,14 @@ def _unit(channel: Channel, known: FloatArray) -> str:
         return ""
     if channel.name in SPOOLS and high > 2.0 * channel.high:
         return "rpm"
-    for word, scale, offset in conversions(channel.name):
-        if not np.mean(out_of_range(channel, scale * known + offset)) > _FEW:
-            return word
-    return ""
+    return next(
+        (
+            words
+            for words, unit in conversions(channel.name).items()
+            if not np.mean(out_of_range(channel, to_canonical(known, unit))) > _FEW
+        ),
+        "",
+    )
 
 
 # What a moving aircraft shows: while one of the others changes by so much, none stays exactly.
@@ -235,18 +199,13 @@ def _moves(log: Log, name: str, start: int, stop: int) -> bool:
 
 def _stuck(log: Log, name: str, start: int, stop: int) -> Finding:
     text = f"stays at {log[name][start]:.4g} while others move"
-    start_s, end_s = _span(log, start, stop)
-    began_s = float(log.time_s[0])
-    return Finding("stuck", name, start_s, end_s, evidence=text, log=log.name, origin_s=began_s)
+    return log.finding("stuck", name, text, _span_s(log, start, stop))
 
 
-_Span = tuple[float, float] | tuple[None, None]
-
-
-def _span(log: Log, start: int, stop: int) -> _Span:
+def _span_s(log: Log, start: int, stop: int) -> tuple[float, float] | None:
     """Times of rows `start:stop`; None where they are the whole log."""
     if stop - start > _WHOLE * len(log):
-        return None, None
+        return None
     return float(log.time_s[start]), float(log.time_s[stop - 1])
 
 
@@ -313,28 +272,26 @@ def _air(log: Log) -> Iterator[Finding]:
         yield from stopped
     elif len({name for name, *_ in mended}) == 1:
         name, kind, text = mended[0]
-        yield Finding(kind, name, evidence=text, log=log.name)
+        yield log.finding(kind, name, text)
     else:
         order = tuple(name for name in _AIR if name in suspected)
-        text = f"contradicts the other air data{_mach_ratio(log)}"
-        if len(order) > 1:
+        if len(order) == 1:
+            text = f"contradicts the other air data{_mach_ratio(log)}"
+            yield log.finding("inconsistent", order[0], text, _stretch_s(log, wrong, flies))
+        else:
             text = f"{' and '.join(order)} contradict each other{_mach_ratio(log)}"
-        start_s, end_s = _stretch(log, wrong, flies) if len(order) == 1 else (None, None)
-        yield Finding(
-            "inconsistent", order[0], start_s, end_s,
-            evidence=text, partner=order[1] if len(order) > 1 else "", log=log.name,
-        )  # fmt: skip
+            yield log.finding("inconsistent", order[0], text, partner=order[1])
 
 
-def _stretch(log: Log, wrong: BoolArray, flies: BoolArray) -> _Span:
+def _stretch_s(log: Log, wrong: BoolArray, flies: BoolArray) -> tuple[float, float] | None:
     """The stretch that holds all that is wrong, if most of it is, and flight goes on outside."""
     rows = np.flatnonzero(wrong)
     inside = slice(rows[0], rows[-1] + 1)
     mostly = np.mean(wrong[inside][flies[inside]]) > _EXPLAINED
     outside = flies.sum() - flies[inside].sum()
     if not mostly or outside < _FAILED * flies.sum():
-        return None, None
-    return _span(log, int(rows[0]), int(rows[-1]) + 1)
+        return None
+    return _span_s(log, int(rows[0]), int(rows[-1]) + 1)
 
 
 def _stopped(log: Log, suspected: set[str], wrong: BoolArray) -> Iterator[Finding]:
@@ -350,15 +307,16 @@ def _mended(log: Log, suspected: set[str], flies: BoolArray) -> Iterator[tuple[s
     """Conversions of one suspected channel with which no relation fails."""
     for name in (each for each in _AIR if each in suspected):
         level = f"median {np.nanmedian(log[name]):.4g}"
-        tried: list[tuple[Kind, str, float, float]] = [
-            ("unit", f"looks like {word}: {level}", scale, offset)
-            for word, scale, offset in conversions(name)
+        tried: list[tuple[Kind, str, Unit]] = [
+            ("unit", f"looks like {words}: {level}", unit)
+            for words, unit in conversions(name).items()
         ]
         tried += [
-            ("scale", f"looks scaled by {1.0 / scale:g}: {level}", scale, 0.0) for scale in _SCALES
+            ("scale", f"looks scaled by {1.0 / scale:g}: {level}", Unit("", scale))
+            for scale in _SCALES
         ]
-        for kind, text, scale, offset in tried:
-            channels = {**log.channels, name: scale * log[name] + offset}
+        for kind, text, unit in tried:
+            channels = {**log.channels, name: to_canonical(log[name], unit)}
             if not _failed(channels, flies, _EXACT)[1]:
                 yield name, kind, text
 

@@ -43,7 +43,6 @@ class SmoothConfig(Section):
         return window
 
     def window_at(self, interval_s: float) -> int:
-        """The window in samples for a log of this sampling interval."""
         return _usual(interval_s) if self.window == "auto" else self.window
 
 

@@ -72,7 +72,6 @@ class Labels:
 
 
 def plain(text: str) -> str:
-    """Return the text without case and surrounding blanks."""
     return text.strip().casefold()
 
 

@@ -23,7 +23,13 @@ from data_prep.drafting.naming import PER_MINUTE, Reading, declarable, fits, rea
 from data_prep.sources.binary_source import ArraySource, open_binary
 from data_prep.sources.columns import Table, unit_text
 from data_prep.sources.csv_source import open_csv
-from data_prep.sources.units import find_unit, is_volume_flow, named_unit, to_canonical
+from data_prep.sources.units import (
+    find_unit,
+    is_volume_flow,
+    named_unit,
+    to_canonical,
+    usual_units,
+)
 from narxcal.channels import CHANNELS, SPOOLS, described
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
@@ -34,20 +40,7 @@ _FEWEST = 2  # values of a channel
 _ANY = 1e30  # a range that any value of a declared channel lies in
 # Keys of [logs] that a file may leave open, and the values with which it is looked at.
 _ASSUMED: Mapping[str, object] = {"dates": "DMY", "frames_hz": 25.0, "decimal": ","}
-# In which units a channel is recorded, and between which values (canonical) the highest one of a
-# recording of a running engine lies.
-_UNITS: Mapping[str, tuple[str, ...]] = {
-    "N1_pct": ("%", "-"),
-    "N2_pct": ("%", "-"),
-    "EGT_C": ("degC", "K", "degF", "degR"),
-    "FF_kgph": ("kg/h", "lb/h", "kg/s", "lb/s"),
-    "ALT_ft": ("ft", "m"),
-    "CAS_kt": ("kt", "km/h", "m/s", "mph"),
-    "TAS_kt": ("kt", "km/h", "m/s", "mph"),
-    "SAT_C": ("degC", "K", "degF"),
-    "TAT_C": ("degC", "K", "degF"),
-    "FN_kN": ("kN", "N", "lbf"),
-}
+# Between which values (canonical) the highest one of a recording of a running engine lies.
 _HIGHEST: Mapping[str, tuple[float, float]] = {
     "N1_pct": (20.0, 125.0),
     "N2_pct": (45.0, 125.0),
@@ -84,7 +77,6 @@ class Line:
     assumed: float = 1.0
 
     def __str__(self) -> str:
-        """Return the line in TOML."""
         keys = ", ".join(f"{key} = {in_toml(value)}" for key, value in self.keys.items())
         return f"{self.channel} = {{ {keys} }}  # {self.why}"
 
@@ -268,10 +260,8 @@ class _Drafting:
         commands = chosen.pop("command", [])
         if "TRA_deg" not in chosen and commands:
             lines.append(self._lever(commands))
-        for name in (each for each in CHANNELS if each in chosen):
-            line = self._line(name, chosen[name], air)
-            if line:
-                lines.append(line)
+        found = (self._line(name, chosen[name], air) for name in CHANNELS if name in chosen)
+        lines += [line for line in found if line]
         engines = {_engine_name(mark): mark for mark in marks}
         others = self._others(marks)
         own = [str(line.keys["column"]) for line in others]
@@ -422,14 +412,15 @@ class _Drafting:
         if named_unit(said) == PER_MINUTE or (name in SPOOLS and high > 2.0 * _HIGHEST[name][1]):
             why = f"100 / (rpm at 100 %); {seen}, so 100 % at the highest would be {100 / high:.6g}"
             return Line(name, {**keys, "scale": OPEN}, why, 100.0 / high)
-        if said or name not in _UNITS:
+        usual = usual_units(name)
+        if said or len(usual) == 1:
             return _as_said(name, keys, said, seen)
         possible = [air[name]] if name in air else self._possible(name, columns)
         if len(possible) == 1:
             what = "the air data" if name in air else "a running engine"
             why = f"no other unit fits {what}; {seen}"
             return Line(name, {**keys, "unit": possible[0]}, why)
-        wanted = " or ".join(possible or _UNITS[name])
+        wanted = " or ".join(possible or usual)
         if name in SPOOLS:
             wanted += " or, of revolutions, scale = 100 / (those at 100 %)"
         return Line(name, {**keys, "unit": OPEN}, f"{wanted}? It is {seen}")
@@ -439,15 +430,13 @@ class _Drafting:
         return _high(values, 0.001), _high(values)
 
     def _possible(self, name: str, columns: Sequence[str]) -> list[str]:
-        """Return the units in which the highest value of a running engine, and all, are usual."""
-        low, high = self._range(columns)
-        possible = []
-        for unit in _UNITS[name]:
-            least, most = to_canonical(np.array([low, high]), find_unit(unit, name))
-            bounds = _HIGHEST.get(name, (CHANNELS[name].low, CHANNELS[name].high))
-            if least >= CHANNELS[name].low - 1.0 and _within(float(most), bounds):
-                possible.append(unit)
-        return possible
+        floor, recorded = CHANNELS[name].low - 1.0, np.array(self._range(columns))
+        bounds = _HIGHEST.get(name, (CHANNELS[name].low, CHANNELS[name].high))
+        ranges = {
+            unit: to_canonical(recorded, find_unit(unit, name)).tolist()
+            for unit in usual_units(name)
+        }
+        return [u for u, (low, high) in ranges.items() if low >= floor and _within(high, bounds)]
 
     def _own_lever(self, columns: Sequence[str]) -> Line:
         keys, said = self._column(columns), self._unit(columns[0])
@@ -496,7 +485,7 @@ class _Drafting:
         """Return the units in which alone the air data agree, by channel."""
         said = {name: self._unit(column) for name, column in columns.items()}
         possible = {
-            name: (named_unit(said[name]),) if fits(said[name], name) else _UNITS[name]
+            name: (named_unit(said[name]),) if fits(said[name], name) else usual_units(name)
             for name in columns
         }
         air = {name: self.values[column] for name, column in columns.items()}
@@ -507,7 +496,6 @@ class _Drafting:
 
 
 def _as_said(name: str, keys: _Keys, said: str, seen: str) -> Line:
-    """Return the line of a channel whose unit the file or the name says."""
     if not said:
         return Line(name, keys, f"has no unit; {seen}")
     if is_volume_flow(said):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -91,6 +92,23 @@ _UNITS: dict[str, Unit] = {
     "A": Unit("current", 1.0),
     "V": Unit("voltage", 1.0),
 }
+# By the canonical unit: in which others recorders give a quantity, and in which few do. Of those
+# `_TWICE` a conversion is made of what is in the canonical unit already.
+_OTHERS: Mapping[str, tuple[str, ...]] = {
+    "%": ("-",),
+    "degC": ("K", "degF", "degR"),
+    "kg/h": ("lb/h", "kg/s", "lb/s"),
+    "ft": ("m",),
+    "kt": ("km/h", "m/s", "mph"),
+    "kN": ("lbf", "N"),
+}
+_RARE: Mapping[str, tuple[str, ...]] = {
+    "-": ("%",),
+    "kg/h": ("kg/min", "g/s", "lb/min"),
+    "ft": ("km", "FL"),
+}
+_TWICE = ("K", "degF", "-", "lb/h", "m", "m/s")
+_IN_WORDS = {"K": "kelvin", "-": "a fraction", "%": "percent", "FL": "flight level"}
 _SIGNS = ("A", "V")  # a letter alone in a file is a sensor's or an engine's
 _ALIASES = {
     "sec": "s",
@@ -215,6 +233,8 @@ def find_unit(name: str, canonical: str) -> Unit:
         return Unit(PRESSURE_ALTITUDE, known.scale)  # of a barometer, as in a test cell
     if target.unit == "%" and known.dimension == "number":
         return Unit("ratio", 100.0)
+    if target.unit == "-" and known.dimension == "ratio":
+        return Unit("number", 0.01)
     wanted = _UNITS[target.unit].dimension
     if known.dimension == wanted or (wanted, known.dimension) == ("switch", "number"):
         return known
@@ -226,6 +246,28 @@ def find_unit(name: str, canonical: str) -> Unit:
         channel=canonical,
         hint=hint,
     )
+
+
+def usual_units(channel: str) -> tuple[str, ...]:
+    """Units in which recorders give a channel, its own first; differences are of their own."""
+    own = described(channel).unit
+    return (own, *(() if channel == "dT_C" else _OTHERS.get(own, ())))
+
+
+def conversions(channel: str) -> dict[str, Unit]:
+    """Units that values of a channel may be in instead of its own, by their words.
+
+    Among them are those that undo a conversion which was made of values in its own unit.
+    """
+    own, *others = usual_units(channel)
+    found = {}
+    for name in (*others, *(() if channel == "dT_C" else _RARE.get(own, ()))):
+        unit, words = find_unit(name, channel), _IN_WORDS.get(name, name)
+        found[words] = unit
+        if name in _TWICE:
+            inverse = Unit(unit.dimension, 1.0 / unit.scale, -unit.offset / unit.scale)
+            found[f"{_IN_WORDS.get(own, own)}, taken for {words}"] = inverse
+    return found
 
 
 def named_unit(cell: str) -> str:

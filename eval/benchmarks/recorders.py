@@ -38,7 +38,6 @@ from training.pipeline import calibrate
 from training.records import Split
 from training.screening.masking import cross_screen
 from training.screening.redundancy import is_measured
-from training.screening.redundancy_fit import learn
 from training.screening.scatter import PRIORS, Priors, ScatterPrior, StepPrior
 from training.screening.screen import screened
 
@@ -147,8 +146,7 @@ def screening(
     config = recorder.config
     raw = [one.log for one in prepare(train, config)]
     names = (*config.narx.outputs, *config.steady_state.inputs)
-    training = cross_screen(raw, names, priors)
-    bank = learn([log.without_faults() for log in training], names, priors)
+    training, bank = cross_screen(raw, names, priors)
     others = screened(bank, [one.log for one in prepare(judged, config)])
     return [_screened(log, names) for log in (*training, *others)]
 
@@ -244,8 +242,7 @@ class Shown:
         config = recorder.config
         names = (*config.narx.outputs, *config.steady_state.inputs)
         raw = [log for logs in recorder.recordings.values() for log in logs]
-        logs = cross_screen([one.log for one in prepare(raw, config)], names)
-        bank = learn([log.without_faults() for log in logs], names)
+        _, bank = cross_screen([one.log for one in prepare(raw, config)], names)
         if bank is None:
             return cls({}, {}, {})
         levels = {name: each for name, each in bank.level.items() if is_measured(name)}

@@ -9,8 +9,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from data_prep.cleaning.plausibility import conversions
 from data_prep.events import PULL, PUSH
+from data_prep.sources.units import conversions, to_canonical
 from eval.diagnosis.applied import GAP_SCHEMA, signals_to_json
 from eval.diagnosis.expected import ChannelShrink, HeldOut, TimeShrink, Values
 from eval.diagnosis.pairs import Pair
@@ -263,10 +263,10 @@ def implausible(data: Record) -> list[str]:
             continue
         units = [
             f"the {side} {name} looks like {word}"
-            for word, scale, offset in conversions(name)
+            for word, other in conversions(name).items()
             for side, gap in (
-                ("recorded", scale * real + offset - sim),
-                ("simulated", real - scale * sim - offset),
+                ("recorded", to_canonical(real, other) - sim),
+                ("simulated", real - to_canonical(sim, other)),
             )
             if _middle(np.abs(gap)) <= most[k]
         ]

@@ -158,7 +158,7 @@ def cross_validate(
     refuse_duplicates(logs, "a fold would be judged on what it learned")
     settings = EvaluateConfig.parse(config.evaluate, "[evaluate]")
     logs = [with_outputs(log, config.narx.outputs) for log in logs]
-    logs = cross_screen(logs, (*config.narx.outputs, *config.steady_state.inputs))
+    logs, _ = cross_screen(logs, (*config.narx.outputs, *config.steady_state.inputs))
     plans, skipped = _plans(config, settings, logs)
     folds = []
     for result in run_plans(plans, config, base, judge_fold, jobs):

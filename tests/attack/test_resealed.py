@@ -11,7 +11,7 @@ from narxcal.calibration.certificate import certify
 from narxcal.support.errors import NarxcalError
 from tests.attack.test_pass import ENGINE
 from tests.fuzz import value_changed
-from training.screening.redundancy_fit import learn
+from training.screening.redundancy_fit import Pool
 
 CHANNEL = {
     "weights": {"network": 0.4, "arx": 0.6},
@@ -36,7 +36,7 @@ def sound():
     """A bundle with every table of its record, and a log that is new to it."""
     train = [ENGINE.lag_log(f"train_{k}.csv", offset=(0.05 * k, 0.1)) for k in range(3)]
     bundle = ENGINE.lag_bundle(train=train)
-    bank = learn(train, ("TRA_deg", *bundle.calibration.output_names)).to_json()
+    bank = Pool.of(train).bank(("TRA_deg", *bundle.calibration.output_names)).to_json()
     parts = {**TABLES, "certificate": certify(bundle.calibration), "redundancy": bank}
     record = bundle.record.having(**parts)
     return bundle.calibration, record, ENGINE.lag_log("new.csv")

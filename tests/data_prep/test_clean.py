@@ -159,34 +159,25 @@ def test_short_faults_out_of_range_are_repaired_longer_ones_masked():
     assert np.isnan(cleaned["N1_pct"][2000:2020]).all()
 
 
-def test_infinite_samples_are_out_of_range():
-    values = noisy()
-    values[1000:1100] = np.inf
-    cleaned = clean(log_of(N1_pct=values))
-    assert cleaned.audit.masked() == {"N1_pct": {"out of range": 100}}
-
-
-def test_a_switch_is_only_held_to_its_range():
-    values = np.zeros(6400)
-    values[3000] = 1.0
-    values[4000:4100] = 7.0
-    cleaned = clean(log_of(WOW=values))
-    assert cleaned["WOW"][3000] == 1.0
-    assert cleaned.audit.masked() == {"WOW": {"out of range": 100}}
-
-
-def test_a_repaired_switch_stays_a_switch():
-    values = np.repeat([0.0, 1.0], 100)
-    values[99:101] = 3.0
-    cleaned = clean(log_of(WOW=values))
-    assert set(np.unique(cleaned["WOW"])) <= {0.0, 1.0}
-
-
-def test_missing_samples_stay_missing():
-    values = noisy()
-    values[100:400] = np.nan
-    cleaned = clean(log_of(N1_pct=values))
-    np.testing.assert_array_equal(np.isnan(cleaned["N1_pct"]), np.isnan(values))
+@pytest.mark.parametrize(
+    ("channel", "sound", "rows", "value", "lost"),
+    [
+        ("N1_pct", noisy(), slice(1000, 1100), np.inf, {"N1_pct": {"out of range": 100}}),
+        ("N1_pct", noisy(), slice(100, 400), np.nan, {}),
+        ("WOW", np.zeros(6400), slice(3000, 3001), 1.0, {}),
+        ("WOW", np.zeros(6400), slice(4000, 4100), 7.0, {"WOW": {"out of range": 100}}),
+        ("WOW", np.repeat([0.0, 1.0], 3200), slice(3199, 3201), 3.0, {}),  # repaired, to 0 or 1
+    ],
+)
+def test_what_of_one_channel_is_masked(channel, sound, rows, value, lost):
+    values = sound.copy()
+    values[rows] = value
+    cleaned = clean(log_of(**{channel: values}))
+    assert cleaned.audit.masked() == lost
+    unknown = np.isnan(values)
+    unknown[rows] |= bool(lost)
+    np.testing.assert_array_equal(np.isnan(cleaned[channel]), unknown)
+    assert channel != "WOW" or {*cleaned["WOW"][~unknown]} <= {0.0, 1.0}
 
 
 def test_short_spans_are_only_counted_long_ones_are_listed():

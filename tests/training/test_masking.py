@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data_prep.log import Finding, Source
+from data_prep.log import Finding
 from narxcal.support.errors import DataError
-from tests.training.test_screening import DT_S, ROWS, engine
+from tests.training.test_screening import DT_S, ROWS, flights
 from training.config import RunConfig
 from training.records import Split
 from training.screening.masking import training_data
@@ -28,13 +28,9 @@ CONFIG = RunConfig.parse(
 )  # fmt: skip
 
 
-def flight(seed):
-    return replace(engine(seed), source=Source(f"{seed}.csv", f"sha-{seed}"))
-
-
 @pytest.fixture(scope="module")
 def sound():
-    return [flight(seed) for seed in (1, 2, 3)]
+    return flights(1, 2, 3)
 
 
 def test_an_input_that_is_lost_for_long_divides_the_log(sound):
@@ -42,7 +38,8 @@ def test_an_input_that_is_lost_for_long_divides_the_log(sound):
     fuel = log["FF_kgph"].copy()
     fuel[2000:2600] = np.nan
     fuel[4000:4005] = np.nan
-    found = training_data(Split((log.with_channels({"FF_kgph": fuel}), *sound[1:]), (), ()), CONFIG)
+    split = Split((log.with_channels({"FF_kgph": fuel}), *sound[1:]), (), ())
+    found = training_data(split, CONFIG, screen=False)
     first, second, *others = found.split.train
     assert (len(first), len(second)) == (2000, ROWS - 2600)
     assert [len(each) for each in others] == [ROWS, ROWS]
@@ -52,7 +49,7 @@ def test_an_input_that_is_lost_for_long_divides_the_log(sound):
 
 def test_a_part_too_short_for_a_response_is_left_out_and_counted(sound):
     short = sound[0].part(0, 2)
-    found = training_data(Split((short, *sound[1:]), (), ()), CONFIG)
+    found = training_data(Split((short, *sound[1:]), (), ()), CONFIG, screen=False)
     assert [len(each) for each in found.split.train] == [ROWS, ROWS]
     assert found.row()["logs"][0]["left_out_rows"] == 2
 

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.training.test_masking import CONFIG, flight
+from tests.training.test_masking import CONFIG
+from tests.training.test_screening import flights
 from tests.training.test_steady_fit import LAYOUT, truth
 from training.config import RunConfig, SteadyFitConfig
 from training.methods import TrainOptions
@@ -103,8 +104,7 @@ BY_LEVER = RunConfig.parse(
 def rigged():
     """Four flights with a lever that asks for a fan speed; in the second it reads 8 deg more."""
     logs = []
-    for seed in (1, 2, 3, 4):
-        log = flight(seed)
+    for seed, log in enumerate(flights(1, 2, 3, 4), start=1):
         lever_deg = np.clip(log["N1_pct"] - 20.0, 0.0, 85.0) + (8.0 if seed == 2 else 0.0)
         logs.append(log.with_channels({"TRA_deg": lever_deg}))
     return logs

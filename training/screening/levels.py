@@ -74,7 +74,6 @@ class LevelCheck:
 
     @property
     def late(self) -> bool:
-        """Whether the lag is beyond the spread."""
         return self.allowed_lag_s is not None and abs(self.lag_s) > self.allowed_lag_s
 
     def row(self) -> dict[str, Any]:
@@ -92,27 +91,18 @@ def checks(
     `stored` is what training kept, by channel.
     """  # fmt: skip
     model, measured = signals
+    levels, lags = level_of(model, measured).tolist(), lag_of(model, measured, dt_s).tolist()
     found = []
-    for name, error, lag_s, values in zip(
-        names, level_of(model, measured), lag_of(model, measured, dt_s), measured.T, strict=True
-    ):
+    for name, error, lag_s, values in zip(names, levels, lags, measured.T, strict=True):
         own = stored.get(name, MixtureChannel())
-        known = [
+        held_levels, held_lags = (
             np.array([x for x in each if x is not None], dtype=np.float64)
             for each in (own.held_out_level, own.held_out_lag_s)
-        ]
-        typical = np.nanmedian(np.abs(values)) if np.isfinite(values).any() else 0.0
-        prior = prior_scatter(name, float(typical))
-        found.append(
-            LevelCheck(
-                name,
-                float(error),
-                _allowed(known[0], prior, len(names)),
-                float(lag_s),
-                _allowed(known[1], _DELAY_PRIOR_S, len(names)),
-                len(known[0]),
-            )
         )
+        typical = float(np.nanmedian(np.abs(values))) if np.isfinite(values).any() else 0.0
+        allowed = _allowed(held_levels, prior_scatter(name, typical), len(names))
+        allowed_lag_s = _allowed(held_lags, _DELAY_PRIOR_S, len(names))
+        found.append(LevelCheck(name, error, allowed, lag_s, allowed_lag_s, len(held_levels)))
     return tuple(found)
 
 

@@ -18,7 +18,8 @@ from narxcal.support.arrays import spans
 from narxcal.support.errors import DataError
 from training.config import RunConfig
 from training.records import Split
-from training.screening.redundancy_fit import MOST_FOLDS, Pool, learn
+from training.screening.redundancy import Bank
+from training.screening.redundancy_fit import MOST_FOLDS, Pool
 from training.screening.scatter import PRIORS, Priors
 from training.screening.screen import files_of, screened
 from training.steady.steady_choice import Outlier
@@ -26,26 +27,29 @@ from training.steady.steady_choice import Outlier
 
 def cross_screen(
     logs: Sequence[Log], channels: Sequence[str], priors: Priors = PRIORS
-) -> list[Log]:
-    """Return prepared training logs with the findings that the other recordings show.
+) -> tuple[list[Log], Bank | None]:
+    """Return prepared training logs with the findings that the other recordings show, and the bank.
 
     `channels` are those of the model. A recording is a file, of many a group is left out at a time;
     a single one is compared with itself, of which a stretch is not most. What the first pass masks
-    is not learned from in the second.
+    is not learned from in the second, nor what this one masks in the bank.
     """
     found, groups = list(logs), _groups(logs)
+    pool = _pool(logs, priors)
     for _ in range(2):
-        known = [log.without_faults() for log in found]
-        after, pool = list(found), Pool.of(known, priors)
+        before = [_spans(log) for log in found]
         for own in groups:
             bank = pool.bank(channels, own if len(groups) > 1 else ())
             for k, log in zip(own, screened(bank, [logs[k] for k in own]), strict=True):
-                after[k] = log
-        done = [_spans(a) == _spans(b) for a, b in zip(after, found, strict=True)]
-        found = after
-        if all(done):
+                found[k] = log
+        if [_spans(log) for log in found] == before:
             break
-    return found
+        pool = _pool(found, priors)
+    return found, pool.bank(channels)
+
+
+def _pool(logs: Sequence[Log], priors: Priors) -> Pool:
+    return Pool.of([log.without_faults() for log in logs], priors)
 
 
 def _groups(logs: Sequence[Log]) -> list[list[int]]:
@@ -60,8 +64,8 @@ def _groups(logs: Sequence[Log]) -> list[list[int]]:
     return [[k for own in files[first::count] for k in own] for first in range(count)]
 
 
-def _spans(log: Log) -> set[tuple[str, float | None]]:
-    return {(each.channel, each.start_s) for each in log.findings if each.masks}
+def _spans(log: Log) -> set[tuple[str, float | None, float | None]]:
+    return {(each.channel, each.start_s, each.end_s) for each in log.findings if each.masks}
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,12 +73,14 @@ class TrainingData:
     """What can be learned: `split` are parts of `train` and `validate`, whole logs with masks.
 
     `before` are those logs with nothing masked. `contradicting` logs are in no part of `split`.
+    `bank` is what the logs to train on say of each other.
     """
 
     split: Split
     train: tuple[Log, ...]
     validate: tuple[Log, ...]
     before: tuple[Log, ...]
+    bank: Bank | None
     contradicting: tuple[Outlier, ...] = ()
 
     @property
@@ -103,7 +109,6 @@ class TrainingData:
 
 
 def _counts(log: Log, recorded: Log) -> dict[str, int]:
-    """Channel -> samples that were masked for a fault."""
     lost = {
         name: int((np.isfinite(recorded[name]) & ~np.isfinite(log[name])).sum())
         for name in recorded.channels
@@ -117,13 +122,13 @@ def training_data(split: Split, config: RunConfig, *, screen: bool = True) -> Tr
     Without `screen` the logs have the findings of such a screening. Raises `DataError` where they
     leave no log.
     """
-    outputs, inputs = config.narx.outputs, config.steady_state.inputs
+    names = (*config.narx.outputs, *config.steady_state.inputs)
     train, validate = list(split.train), list(split.validate)
     if screen:
-        train = cross_screen(train, (*outputs, *inputs))
-        if validate:
-            bank = learn([log.without_faults() for log in train], (*outputs, *inputs))
-            validate = screened(bank, validate)
+        train, bank = cross_screen(train, names)
+        validate = screened(bank, validate)
+    else:
+        bank = _pool(train, PRIORS).bank(names)
     usable = [tuple(log.without_faults() for log in logs) for logs in (train, validate)]
     found: list[tuple[Log, ...]] = []
     for before, after in zip((split.train, split.validate), usable, strict=True):
@@ -137,6 +142,7 @@ def training_data(split: Split, config: RunConfig, *, screen: bool = True) -> Tr
         usable[0],
         usable[1],
         (*split.train, *split.validate),
+        bank,
     )
 
 

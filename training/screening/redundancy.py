@@ -75,7 +75,6 @@ class Signals:
         return cls(time_s, values, size * log.dt_s)
 
     def having(self, values: Values) -> Signals:
-        """Signals with some channels replaced."""
         return replace(self, values={**self.values, **values})
 
     def part(self, rows: slice) -> Signals:
@@ -87,6 +86,7 @@ class Signals:
 class Corrected:
     """Corrected engine channels, and the air they are in; `known` (time,) where it is."""
 
+    signals: Signals
     x: Values
     scale: Mapping[str, FloatArray]
     offset: Mapping[str, float]
@@ -109,10 +109,9 @@ class Corrected:
             factor, offset[name] = corrected_scale(name, air)
             scale[name] = np.broadcast_to(np.asarray(factor, dtype=np.float64), zero.shape)
             x[name] = (signals.values[name] + offset[name]) / scale[name]
-        return cls(x, scale, offset, mach, np.log(air.delta), known)
+        return cls(signals, x, scale, offset, mach, np.log(air.delta), known)
 
     def raw(self, name: str, corrected: FloatArray) -> FloatArray:
-        """Back to the canonical unit."""
         return corrected * self.scale[name] - self.offset[name]
 
 
@@ -139,7 +138,7 @@ class Bank:
     |---|---|
     | `centre`, `spread` | mean and standard deviation of each corrected channel |
     | `low`, `high` | its range in the training logs, scaled |
-    | `cells` | source -> cells in which the training logs have been |
+    | `cells` | source -> codes of the cells in which the training logs have been |
     | `models` | target -> source -> coefficients b |
     | `level` | u of the logs that were left out |
     | `steps` | octave -> heights of the strongest steps of these logs (`scatter`) |
@@ -159,7 +158,7 @@ class Bank:
     spread: Mapping[str, float] = field(default_factory=dict)
     low: Mapping[str, float] = field(default_factory=dict)
     high: Mapping[str, float] = field(default_factory=dict)
-    cells: Mapping[str, Sequence[Sequence[int]]] = field(default_factory=dict)
+    cells: Mapping[str, Sequence[int]] = field(default_factory=dict)
     models: Mapping[str, Mapping[str, tuple[float, ...]]] = field(default_factory=dict)
     level: Mapping[str, Sequence[float]] = field(default_factory=dict)
     steps: Mapping[str, Mapping[str, Sequence[float]]] = field(default_factory=dict)
@@ -187,11 +186,10 @@ class Bank:
 
         Raises `ModelError` where a part is missing, of another type, or does not fit the channels.
         """
-        known = {name: stored[name] for name in cls._stored() if name in stored}
-        found = read_stored(cls, known, "redundancy")
-        lacking = [name for name in cls._stored() if name not in stored]
-        if lacking:
-            raise ModelError(f"the part 'redundancy' has no '{lacking[0]}'", hint=ALTERED)
+        names = cls._stored()
+        if lacking := next((name for name in names if name not in stored), ""):
+            raise ModelError(f"the part 'redundancy' has no '{lacking}'", hint=ALTERED)
+        found = read_stored(cls, {name: stored[name] for name in names}, "redundancy")
         if not found.complete:
             raise ModelError("the part 'redundancy' does not fit its channels", hint=ALTERED)
         return found
@@ -208,7 +206,6 @@ class Bank:
             and names | set(self.used) <= set(CHANNELS)
             and all(size > 0.0 for size in self.spread.values())
             and all(k.isdecimal() and x for by in steps for k, x in by.items())
-            and all(len(cell) == _CELL.size for each in self.cells.values() for cell in each)
             and all({*filter(is_measured, names - {i})} <= set(self.models[i]) for i in names)
             and all(len(b) == FEATURES for row in self.models.values() for b in row.values())
             and set(map(str, STRETCHES)) <= set(self.stretch)
@@ -225,11 +222,7 @@ class Bank:
 
     def covers(self, design: Design, source: str) -> BoolArray:
         """Whether training logs have been in or next to the cell of each sample (time,)."""
-        known, cells = self._covered[source], design.cells[source]
-        if not len(known):
-            return np.zeros(len(cells), dtype=np.bool_)
-        nearest = np.minimum(np.searchsorted(known, cells), len(known) - 1)
-        return np.asarray(known[nearest] == cells)
+        return np.isin(design.cells[source], self._covered[source])
 
     @cached_property
     def scatter(self) -> dict[str, Scatter]:
@@ -240,7 +233,6 @@ class Bank:
 
     @cached_property
     def late_scatter(self) -> dict[str, Scatter]:
-        """What is known of the delay of each channel in one more log."""
         return self.priors.scatter.of_delays(
             {name: self.late.get(name, ()) for name in self.channels}
         )
@@ -273,45 +265,31 @@ class Bank:
         found = replace(self.priors.steps, logs=0.0).limits(seen, share)
         return {name: each[0] for name, each in found.items()}
 
-    def lateness(self, found: Mapping[tuple[str, str], float], name: str) -> float:
-        """By how much a channel is later than usual in s, as others agree; NaN of fewer than 2."""
-        return excess(self.delays.get(name, {}), found, name)
-
-    @cached_property
-    def usual(self) -> dict[str, float]:
-        """Size within which two levels of three are."""
-        return {name: each.limit(0.3173) for name, each in self.scatter.items()}
-
     @cached_property
     def _covered(self) -> dict[str, IntArray]:
-        """Source -> codes of its cells and of those next to them, sorted."""
+        """Source -> codes of its cells and of those next to them."""
         seen = {name: np.asarray(each, dtype=np.int64) for name, each in self.cells.items()}
-        return {
-            name: np.unique((codes_of(each.reshape(-1, 3))[:, None] + _NEXT).ravel())
-            for name, each in seen.items()
-        }
+        return {name: np.unique((each[:, None] + _NEXT).ravel()) for name, each in seen.items()}
 
 
 @dataclass(frozen=True, eq=False)
 class Design:
     """What models are applied to: corrected channels of one log, features and cells of each."""
 
-    signals: Signals
     air: Corrected
     phi: Values  # (time, 16)
     cells: Mapping[str, IntArray]
 
     @classmethod
-    def of(cls, bank: Bank, signals: Signals, names: Sequence[str], step_s: float = 0.0) -> Self:
-        """Scale the channels `names` as the bank does; `step_s` replaces that of the signals."""
-        air = Corrected.of(signals, names)
+    def of(cls, bank: Bank, air: Corrected, step_s: float = 0.0) -> Self:
+        """Scale channels as the bank does; `step_s` replaces that of the signals."""
         phi, cells = {}, {}
-        for name in names:
-            z = (air.x[name] - bank.centre[name]) / bank.spread[name]
+        for name, x in air.x.items():
+            z = (x - bank.centre[name]) / bank.spread[name]
             inside = np.clip(np.nan_to_num(bridge_gaps(z)), bank.low[name], bank.high[name])
-            phi[name] = _features(inside, air, step_s or signals.step_s)
-            cells[name] = codes_of(_cells(air, z))
-        return cls(signals, air, phi, cells)
+            phi[name] = _features(inside, air, step_s or air.signals.step_s)
+            cells[name] = _cells(air, z)
+        return cls(air, phi, cells)
 
 
 # Cells of (source in its spread, Mach number, ln delta) in which, or next to which, training logs
@@ -326,12 +304,14 @@ class Residuals:
     """Residuals of one log; all values (time,), in units of `Residuals.scale`."""
 
     bank: Bank
-    signals: Signals
-    channels: tuple[str, ...]
     errors: Mapping[str, Values]  # e: target -> source
     expected: Values  # corrected
     agreed: Values  # r
     corrected: Corrected
+
+    @property
+    def signals(self) -> Signals:
+        return self.corrected.signals
 
     def scale(self, name: str) -> FloatArray:
         """Unit of r of a channel: d, corrected."""
@@ -357,8 +337,7 @@ class Residuals:
 
 
 def residuals(bank: Bank, signals: Signals, channels: Sequence[str]) -> Residuals:
-    """Compare the channels of one log with each other."""
-    return compared(bank, Design.of(bank, signals, channels))
+    return compared(bank, Design.of(bank, Corrected.of(signals, channels)))
 
 
 def compared(bank: Bank, design: Design) -> Residuals:
@@ -379,7 +358,7 @@ def compared(bank: Bank, design: Design) -> Residuals:
         unit = bank.unit(i, expected[i])
         errors[i] = {j: np.where(testable[j], (air.x[i] - known[j]) / unit, np.nan) for j in known}
         agreed[i] = agreement(list(errors[i].values()))
-    return Residuals(bank, design.signals, channels, errors, expected, agreed, air)
+    return Residuals(bank, errors, expected, agreed, air)
 
 
 def is_measured(name: str) -> bool:
@@ -413,18 +392,9 @@ def _middle(parts: Sequence[FloatArray]) -> FloatArray:
 
 
 def _cells(air: Corrected, z: FloatArray) -> IntArray:
-    """Cell (time, 3) of each sample."""
     found = np.column_stack([np.nan_to_num(z), air.mach, air.log_delta]) / _CELL
-    return np.asarray(np.clip(np.floor(found), -1000.0, 1000.0), dtype=np.int64)
-
-
-def codes_of(cells: IntArray) -> IntArray:
+    cells = np.clip(np.floor(found), -1000.0, 1000.0).astype(np.int64)
     return np.asarray((cells + 1500) @ _CODE)
-
-
-def cells_of(codes: IntArray) -> IntArray:
-    """Cells (cells, 3) by their numbers."""
-    return np.stack([codes // base % 3000 - 1500 for base in _CODE], axis=-1)
 
 
 def blocks_of(found: Residuals, name: str) -> Blocks:
@@ -459,7 +429,6 @@ def excess(usual: Mapping[str, float], found: Delays, name: str) -> float:
 
 
 def delays_of(log: Log, names: Sequence[str]) -> dict[tuple[str, str], float]:
-    """Delays between the channels of a log in s."""
     fine = Signals.of(log, DELAY_STEP_S)
     return delays_between({name: fine.values[name] for name in names}, fine.step_s)
 
@@ -490,9 +459,8 @@ def log_ratio(found: Residuals, stretch: float) -> float:
     r(k) is what the residual would be, were the stamps stretched by k, over what it is. NaN where
     nothing moves.
     """
-    signals = found.signals
-    design = Design.of(found.bank, signals, found.channels, signals.step_s / stretch)
-    stretched = compared(found.bank, design)
+    step_s = found.signals.step_s / stretch
+    stretched = compared(found.bank, Design.of(found.bank, found.corrected, step_s))
     size = round(_DYNAMIC_S / found.signals.step_s)
     shown = [x for x in found.corrected.x.values() if np.isfinite(x).any()]
     motion = np.abs(shown[0] - moving_mean(shown[0], size // 5)) if shown else np.full(1, np.nan)

@@ -7,7 +7,7 @@ Loan 2013, section 6.5).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -28,8 +28,6 @@ from training.screening.redundancy import (
     Residuals,
     Signals,
     blocks_of,
-    cells_of,
-    codes_of,
     compared,
     delays_of,
     excess,
@@ -38,7 +36,7 @@ from training.screening.redundancy import (
     noise_of,
     recording_of,
 )
-from training.screening.scatter import PRIORS, Blocks, Priors, heights
+from training.screening.scatter import PRIORS, Priors, heights
 
 MOST_FOLDS = 6
 _LEAST_STEPS = 10  # of a log; fewer show no relation of channels
@@ -46,16 +44,6 @@ _RIDGE = 1e-4
 _ENGINE = frozenset({"output", "lever"})
 _LEAST_STAY_S = 10.0  # in a cell
 _RATIO_PRIOR = 0.15  # scatter of ln r(k) between logs
-
-
-def learn(logs: Sequence[Log], channels: Sequence[str], priors: Priors = PRIORS) -> Bank | None:
-    """Fit the bank to the engine channels that most of the prepared logs record.
-
-    `channels` are those of the model: the others support the comparison, and no fault of them is
-    reported. None where there are fewer than two. Each log is left out once to measure what is
-    left, of many logs groups of them; a single log is cut into halves.
-    """
-    return Pool.of(logs, priors).bank(channels)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,38 +82,37 @@ class Pool:
         return cls(scaling, tuple(next(found) if one else None for one in usable))
 
     def bank(self, channels: Sequence[str], without: Sequence[int] = ()) -> Bank | None:
-        """Learn the bank of all logs but those numbered `without`, as `learn` does."""
+        """Fit the bank to all logs but those numbered `without`; None without any.
+
+        `channels` are those of the model: the others support the comparison, and no fault of them
+        is reported. Each log is left out once to measure what is left, of many logs groups of them;
+        a single log is cut into halves.
+        """
         kept = [one for k, one in enumerate(self.parts) if one is not None and k not in without]
         if not kept:
             return None
         parts = kept if len(kept) > 1 else _halves(self.scaling, kept[0])
-        left_out: list[Residuals] = []
-        shown: list[_Part] = []
-        ratios: dict[float, list[float]] = {k: [] for k in STRETCHES}
+        left_out: dict[_Part, Residuals] = {}
         for fold in _folds(parts):
-            bank = self._fitted([one for one in parts if all(one is not each for each in fold)])
-            for one in fold:
-                found = compared(bank, one.design)
-                left_out.append(found)
-                shown.append(one)
-                for k in STRETCHES:
-                    ratios[k].append(log_ratio(found, k))
+            bank = self._fitted([one for one in parts if one not in fold])
+            left_out |= {one: compared(bank, one.design) for one in fold}
         logs = [one.log for one in kept]
         names, whole = self.scaling.channels, _longest(kept)
-        own = [one.log for one in shown]
-        mates = [mate_of(log, own) for log in own]
-        apart = [
-            one.apart_from(left_out[own.index(mate)])
-            for one, mate in zip(left_out, mates, strict=True)
-            if mate is not None
-        ]
-        of_whole = [one for one, part in zip(left_out, shown, strict=True) if part in whole]
+        of = {one.log: found for one, found in left_out.items()}
+        mates = {log: mate_of(log, [*of]) for log in of}
+        apart = [of[log].apart_from(of[mate]) for log, mate in mates.items() if mate is not None]
         return replace(
             self._fitted(kept),
-            level={name: _known([one.level(name) for one in of_whole]) for name in names},
-            steps={name: _heights([blocks_of(one, name) for one in left_out]) for name in names},
-            apart={name: _heights([blocks_of(one, name) for one in apart]) for name in names},
-            stretch={str(k): _mean_and_scatter(each) for k, each in ratios.items()},
+            level={
+                name: _known([found.level(name) for one, found in left_out.items() if one in whole])
+                for name in names
+            },
+            steps={name: _heights(left_out.values(), name) for name in names},
+            apart={name: _heights(apart, name) for name in names},
+            stretch={
+                str(k): _mean_and_scatter([log_ratio(found, k) for found in left_out.values()])
+                for k in STRETCHES
+            },
             delays=_mean_delays([one.delays for one in whole], names),
             late=_lateness([one.delays for one in whole], names),
             noise={
@@ -139,7 +126,7 @@ class Pool:
         )
 
     def _fitted(self, parts: Sequence[_Part]) -> Bank:
-        names, step_s = self.scaling.channels, parts[0].design.signals.step_s
+        names, step_s = self.scaling.channels, parts[0].design.air.signals.step_s
         moments = np.sum([one.moments for one in parts], axis=0)
         models: dict[str, dict[str, tuple[float, ...]]] = {name: {} for name in names}
         for j, source in enumerate(names):
@@ -149,12 +136,11 @@ class Pool:
         cells = {}
         for name in names:
             stayed = np.sum([one.stays[name] for one in parts], axis=0) * step_s >= _LEAST_STAY_S
-            cells[name] = np.asarray(self.scaling.cells[name])[stayed].tolist()
+            cells[name] = np.asarray(self.scaling.cells[name], dtype=np.int64)[stayed].tolist()
         return replace(self.scaling, models=models, cells=cells)
 
 
 def _is_informative(log: Log) -> bool:
-    """Whether a log is long enough, and has samples of two engine channels."""
     engine = tuple(name for name in CHANNELS if CHANNELS[name].role in _ENGINE)
     enough = len(log) > 1 and len(log) * log.dt_s >= _LEAST_STEPS * STEP_S
     return enough and len(log.recorded(engine)) > 1
@@ -182,7 +168,7 @@ def _folds(parts: Sequence[_Part]) -> list[list[_Part]]:
         files.setdefault(recording_of(one.log)[0], []).append(one)
     groups = list(files.values())
     if len(groups) == 1:
-        ordered = sorted(parts, key=lambda one: float(one.design.signals.time_s[0]))
+        ordered = sorted(parts, key=lambda one: float(one.design.air.signals.time_s[0]))
         size = -(-len(ordered) // MOST_FOLDS)
         groups = [ordered[k : k + size] for k in range(0, len(ordered), size)]
     count = min(MOST_FOLDS, len(groups))
@@ -190,9 +176,10 @@ def _folds(parts: Sequence[_Part]) -> list[list[_Part]]:
 
 
 def _halves(scaling: Bank, whole: _Part) -> list[_Part]:
-    signals, middle = whole.design.signals, len(whole.design.signals.time_s) // 2
+    signals = whole.design.air.signals
+    middle = len(signals.time_s) // 2
     parts = [signals.part(slice(None, middle)), signals.part(slice(middle, None))]
-    designs = [Design.of(scaling, one, scaling.channels) for one in parts]
+    designs = [Design.of(scaling, Corrected.of(one, scaling.channels)) for one in parts]
     return _parts(scaling, [whole.log] * 2, designs)
 
 
@@ -201,7 +188,7 @@ def _parts(scaling: Bank, logs: Sequence[Log], designs: Sequence[Design]) -> lis
     for log, design, moments in zip(logs, designs, _moments(scaling, designs), strict=True):
         stays = {}
         for name in names:
-            codes = codes_of(np.asarray(scaling.cells[name], dtype=np.int64).reshape(-1, 3))
+            codes = scaling.cells[name]
             own = design.cells[name][np.isfinite(_in_known_air(design.air, name))]
             stays[name] = np.bincount(np.searchsorted(codes, own), minlength=len(codes))
         found.append(_Part(log, design, moments, stays, delays_of(log, names)))
@@ -223,12 +210,12 @@ def _scaled(logs: Sequence[Signals], names: Sequence[str]) -> tuple[Bank, list[D
         low[name] = float(ends[0] - margin) / spread[name]
         high[name] = float(ends[1] + margin) / spread[name]
     bank = replace(bank, centre=centre, spread=spread, low=low, high=high)
-    designs = [Design.of(bank, one, names) for one in logs]
+    designs = [Design.of(bank, one) for one in air]
     cells = {
-        name: cells_of(np.unique(np.concatenate([one.cells[name] for one in designs])))
+        name: np.unique(np.concatenate([one.cells[name] for one in designs])).tolist()
         for name in names
     }
-    return replace(bank, cells={name: each.tolist() for name, each in cells.items()}), designs
+    return replace(bank, cells=cells), designs
 
 
 def _moments(scaling: Bank, designs: Sequence[Design]) -> list[FloatArray]:
@@ -287,45 +274,33 @@ def _known(levels: Sequence[float]) -> list[float]:
 
 def _longest(parts: Sequence[_Part]) -> list[_Part]:
     """The longest part of each recording of an engine: it stands for the recording as a whole."""
-    found: dict[tuple[str, str], _Part] = {}
+    found: dict[tuple[str, str], list[_Part]] = {}
     for one in parts:
-        key = recording_of(one.log)
-        if key not in found or len(one.log) > len(found[key].log):
-            found[key] = one
-    return list(found.values())
+        found.setdefault(recording_of(one.log), []).append(one)
+    return [max(own, key=lambda one: len(one.log)) for own in found.values()]
 
 
 def _mean_delays(logs: Sequence[Delays], names: Sequence[str]) -> dict[str, dict[str, float]]:
-    table: dict[str, dict[str, float]] = {name: {} for name in names}
-    for i in names:
-        for j in names:
-            seen = [one[i, j] for one in logs if (i, j) in one]
-            if seen:
-                table[i][j] = float(np.mean(seen))
-    return table
+    seen = {(i, j): [one[i, j] for one in logs if (i, j) in one] for i in names for j in names}
+    return {i: {j: float(np.mean(seen[i, j])) for j in names if seen[i, j]} for i in names}
 
 
 def _lateness(logs: Sequence[Delays], names: Sequence[str]) -> dict[str, list[float]]:
-    """By how much each channel of each log was later than in the others."""
-    found: dict[str, list[float]] = {name: [] for name in names}
-    for k, one in enumerate(logs):
-        usual = _mean_delays([*logs[:k], *logs[k + 1 :]], names)
-        for name in names:
-            found[name] += _known([excess(usual[name], one, name)])
-    return found
+    usual = [_mean_delays([*logs[:k], *logs[k + 1 :]], names) for k in range(len(logs))]
+    pairs = list(zip(usual, logs, strict=True))
+    return {name: _known([excess(mean[name], one, name) for mean, one in pairs]) for name in names}
 
 
-def _heights(logs: Sequence[Blocks]) -> dict[str, list[float]]:
+def _heights(logs: Iterable[Residuals], name: str) -> dict[str, list[float]]:
     """Octave -> largest heights of the logs that have stretches of such lengths."""
     found: dict[str, list[float]] = {}
     for one in logs:
-        for k, height in heights(one).items():
+        for k, height in heights(blocks_of(one, name)).items():
             found.setdefault(str(k), []).append(height)
     return found
 
 
 def _mean_and_scatter(values: Sequence[float]) -> tuple[float, float]:
-    """Mean of the finite values, and their scatter with the prior's."""
     known = np.array([each for each in values if np.isfinite(each)])
     if not len(known):
         return 0.0, 1.0

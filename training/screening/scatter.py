@@ -72,7 +72,6 @@ class ScatterPrior:
     channels: float = 0.63
 
     def level(self, name: str) -> float:
-        """M of the levels of a channel."""
         return self.median.get(described(name).unit, self.other)
 
     def of_levels(self, seen: Levels) -> dict[str, Scatter]:
@@ -80,7 +79,6 @@ class ScatterPrior:
         return self._posteriors({name: (self.level(name), each) for name, each in seen.items()})
 
     def of_delays(self, seen: Levels) -> dict[str, Scatter]:
-        """What is known of the delay of each channel in one more log."""
         return self._posteriors({name: (self.delay_s, each) for name, each in seen.items()})
 
     def log_evidence(self, levels: Levels, delays: Levels) -> float:
@@ -104,7 +102,6 @@ class ScatterPrior:
         return np.asarray(found - logsumexp(found, axis=0))
 
     def _log_over_channel(self, median: float, levels: Sequence[float]) -> FloatArray:
-        """Log likelihood of each a by one channel."""
         own = _log_likelihood(median, levels)
         return np.asarray(logsumexp(self._between + own[:, None], axis=0))
 
@@ -136,11 +133,9 @@ class Scatter:
     weights: FloatArray
 
     def tail(self, size: float) -> float:
-        """Probability of a level beyond `size`, of either sign."""
         return float(self.weights @ (2.0 * normal.sf(abs(size) / self.sizes)))
 
     def log_density(self, level: float) -> float:
-        """Logarithm of the probability density of a level."""
         each = np.exp(-0.5 * (level / self.sizes) ** 2) / (np.sqrt(2.0 * np.pi) * self.sizes)
         return float(np.log(self.weights @ each + 1e-300))
 
