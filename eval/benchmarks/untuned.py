@@ -21,6 +21,7 @@ import numpy as np
 import pandas as pd
 
 from eval.benchmarks import Row
+from eval.benchmarks.flights import Passes
 from eval.diagnosis.blind.lumped import LumpedEngine
 from eval.judging.evaluate import Evaluation, evaluate
 from eval.judging.free_run import ARX, FIRST_ORDER
@@ -214,17 +215,9 @@ def judged(one: UntunedSet, folder: Path) -> Evaluation:
 
 
 def rows_of(group: str, found: Evaluation) -> Iterator[Row]:
-    """Error of each channel, and the share of response times in tolerance."""
+    """Share of response times in tolerance, and the error of each channel."""
+    yield Passes.of(found, (FIRST_ORDER, ARX)).row(group, "Ti and Tt passed", _SOURCE)
     for name, pooled in found.pooled.items():
         best = float(np.fmin(pooled.first_order_rmse, pooled.arx_rmse))
         unit = channel(name).unit
         yield Row(group, f"RMSE {name}", pooled.rmse, unit, best, "at most", _SOURCE)
-    baselines = [
-        sum(log.baselines[name].passed for log in found.logs if name in log.baselines)
-        for name in (FIRST_ORDER, ARX)
-    ]
-    counts = found.tally
-    passed = math.nan if counts.passed_pct is None else counts.passed_pct
-    best = max(baselines) * 100.0 / counts.assessed if counts.assessed else math.nan
-    note = f"{counts.passed} of {counts.assessed}; best baseline {max(baselines)}"
-    yield Row(group, "Ti and Tt passed", passed, "%", best, "at least", _SOURCE, note)

@@ -62,7 +62,7 @@ def test_figures_stand_beside_the_better_baseline():
         tally=SimpleNamespace(passed=6, assessed=8, passed_pct=75.0),
         logs=[log, log],
     )
-    n1, egt, times = untuned.rows_of("set", found)
+    times, n1, egt = untuned.rows_of("set", found)
     assert (n1.value, n1.target, n1.reached) == (0.5, 2.0, True)
     assert (egt.target, egt.unit, egt.reached) == (7.0, "degC", False)
     assert (times.value, times.target) == (75.0, 50.0)
