@@ -34,7 +34,7 @@ from narxcal.steady.model import SteadyStateModel
 from narxcal.support.arrays import FloatArray
 from training.config import RunConfig
 from training.pipeline import calibration_for
-from training.records import deviation_record
+from training.records import deviation_record, structure_of
 
 CRITERION = 5.0  # mean square error in %^2, section 3.1
 
@@ -199,22 +199,24 @@ def deviations(data: DataSets, bundle: Bundle, effort: Effort) -> Study:
         "measured ones of the sample before, except in the last variant, which simulates them and "
         "has lags in front of its network where [narx] lag says so.",
         claims=[
-            claim(
-                "narx-paper",
-                "deviation",
-                one.max_rel_pct,
-                name=symbol(output),
-                variant=one.name,
-                remark=remark,
-            )
-            for one, remark in (
-                (paper, "measured deviations help: in use there are none"),
-                (ours, "nothing measured but the first sample"),
-            )
+            _claim(paper, output, "measured deviations help: in use there are none"),
+            _claim(ours, output, "nothing measured but the first sample"),
         ],
         tables=[_deviation_table(found, output)],
-        results={"output": output, "variants": [_deviation_row(one) for one in found]},
-    )
+        results={
+            "output": output,
+            "variants": [
+                {"variant": one.name, "measured": list(one.fed), "max_rel_pct": one.max_rel_pct,
+                 "rmse": one.pooled**0.5}
+                for one in found
+            ],
+        },
+    )  # fmt: skip
+
+
+def _claim(one: Variant, output: str, remark: str) -> Claim:
+    fills = {"name": symbol(output), "variant": one.name, "remark": remark}
+    return claim("narx-paper", "deviation", one.max_rel_pct, **fills)
 
 
 def fed_variants(data: DataSets, bundle: Bundle, effort: Effort) -> list[Variant]:
@@ -224,10 +226,12 @@ def fed_variants(data: DataSets, bundle: Bundle, effort: Effort) -> list[Variant
     others = outputs[1:]
     plans = list(dict.fromkeys([(), others[-1:], others]))
     tests = data.split.test
+    # The network alone, without lags in front of it or a path round it.
+    plain = structure_of(config).model_copy(update={"linear_feedback": False})
     tasks = [
         NetworkFit(
             [fed_record(log, steady, config, plan) for log in data.training.train],
-            _structure(config, moving=len(outputs) + len(plan)),
+            plain.model_copy(update={"moving": len(outputs) + len(plan)}),
             bundle.calibration.dt_s,
         )
         for plan in plans
@@ -235,25 +239,17 @@ def fed_variants(data: DataSets, bundle: Bundle, effort: Effort) -> list[Variant
     models = fit_all(tasks, config, effort.jobs)
     fed = [
         Variant.of(
-            _name(outputs, plan), plan, outputs[0], tests,
-            _runs(tests, steady, config, (model, plan)),
+            f"{_deltas((outputs[0], *plan))} → {_deltas(outputs[:1])}", plan, outputs[0], tests,
+            _runs(model, plan, steady, data),
         )
         for model, plan in zip(models, plans, strict=True)
     ]  # fmt: skip
-    own = Variant.of(_own_name(outputs), (), outputs[0], tests, _own_runs(tests, bundle))
-    return [*fed, own]
+    own = f"{_deltas(outputs)} → all of them, simulated"
+    return [*fed, Variant.of(own, (), outputs[0], tests, _own_runs(tests, bundle))]
 
 
-def _structure(config: RunConfig, moving: int) -> NarxConfig:
-    """The network of `config` alone, without lags in front of it or a path round it."""
-    section = config.narx
-    return NarxConfig(
-        lags=section.lags,
-        taps=section.taps,
-        hidden=section.hidden,
-        margin=section.margin,
-        moving=moving,
-    )
+def _deltas(names: Sequence[str]) -> str:
+    return ", ".join(f"Δ{symbol(name)}" for name in names)
 
 
 def fed_record(
@@ -270,17 +266,14 @@ def fed_record(
 
 
 def _runs(
-    tests: Sequence[Log],
+    model: NarxModel,
+    measured: Sequence[str],
     steady: SteadyStateModel,
-    config: RunConfig,
-    fitted: tuple[NarxModel, Sequence[str]],
+    data: DataSets,
 ) -> list[FloatArray]:
-    model, measured = fitted
-    plain = config.model_copy(
-        update={"train": config.train.model_copy(update={"local_trim": False})}
-    )
+    plain = data.config.having(train={"local_trim": False})
     runs = []
-    for log in tests:
+    for log in data.split.test:
         own = steady_for_engine(steady, log.source.engine)
         record = fed_record(log, steady, plain, measured)
         deviation = model.simulate(record.u, np.nan_to_num(record.y[:1]))
@@ -297,16 +290,6 @@ def _own_runs(tests: Sequence[Log], bundle: Bundle) -> list[FloatArray]:
     return runs
 
 
-def _name(outputs: Sequence[str], measured: Sequence[str]) -> str:
-    fed = ", ".join(f"Δ{symbol(name)}" for name in (outputs[0], *measured))
-    return f"{fed} → Δ{symbol(outputs[0])}"
-
-
-def _own_name(outputs: Sequence[str]) -> str:
-    every = ", ".join(f"Δ{symbol(name)}" for name in outputs)
-    return f"{every} → all of them, simulated"
-
-
 def _deviation_table(found: Sequence[Variant], output: str) -> Table:
     rows = [
         (
@@ -319,12 +302,3 @@ def _deviation_table(found: Sequence[Variant], output: str) -> Table:
     ]
     head = ("variant", "fed as measured", "max relative error [%]", "RMSE")
     return table_of(f"{symbol(output)} in free run over the test data sets", head, rows)
-
-
-def _deviation_row(one: Variant) -> dict[str, Any]:
-    return {
-        "variant": one.name,
-        "measured": list(one.fed),
-        "max_rel_pct": one.max_rel_pct,
-        "rmse": one.pooled**0.5,
-    }
