@@ -121,7 +121,7 @@ def test_events_are_classed_with_their_own_assessments(data, found):
     for one in events:
         assert {each.channel for each in one.event.assessments} == {"N1_pct", "N2_pct"}
         assert all(each.start_s == one.event.event.start_s for each in one.event.assessments)
-    groups = by(events, lambda one: one.kind.direction, ("push", "pull", "none"))
+    groups = by(events, lambda one: one.direction, ("push", "pull", "none"))
     assert list(groups) == ["push", "pull"]
     assert sum(map(len, groups.values())) == len(events)
 
