@@ -234,7 +234,7 @@ def _briefly_trained(config: RunConfig, base: Path, flight: Path) -> tuple[Log, 
     The engine itself is solved anew at every row, which takes several times as long as all else:
     a replay over it would measure the maker's model.
     """
-    config, _ = flown(config, base, flight.parent)
+    config = flown(config, base, flight.parent)
     config = config.having(train={"horizons_s": (5.0,), "iterations": (2,)})
     log = prepare_logs(config, [flight], 1.0 / 32.0)[0]
     return log, calibrate(config, base, Split((log,), (), ()))

@@ -22,7 +22,7 @@ from data_prep.log import Log
 from data_prep.prepare import hold_inputs, prepare
 from data_prep.reading import read_logs
 from eval.preparation import LogReport, examine
-from narxcal.export import ExportOptions, ExportReport, export_table
+from narxcal.export import ExportOptions, export_table
 from narxcal.export.grid import Grid
 from narxcal.flight_test.fly import WriteOptions, load_scenario, write_flights
 from narxcal.flight_test.scenario import FlightScenario
@@ -290,11 +290,11 @@ def write_records(folder: Path, scenario: FlightScenario, jobs: int = 1) -> None
         write_flights(folder / name, FlightScenario.parse(table, name), WriteOptions(jobs))
 
 
-def flown(config: RunConfig, base: Path, folder: Path) -> tuple[RunConfig, ExportReport]:
+def flown(config: RunConfig, base: Path, folder: Path) -> RunConfig:
     """The configuration with the logs of `folder` and the steady-state model as a table there.
 
-    Solving the gas path for every sample of every log would take longer than all the studies;
-    the report says how far the table is off. Raises `ConfigError` for an input that the flights
+    Solving the gas path for every sample of every log would take longer than all the studies.
+    Raises `ConfigError` for an input that the flights
     do not have, and as `open_steady`.
     """
     section, outputs = config.steady_state, config.narx.outputs
@@ -303,8 +303,8 @@ def flown(config: RunConfig, base: Path, folder: Path) -> tuple[RunConfig, Expor
     )
     grid = Grid({name: _nodes(name) for name in section.inputs})
     options = ExportOptions(max_rows=_ROWS, tolerance_pct=0.1, source=section.source)
-    report = export_table(model, grid, folder / TABLE, options)
-    return with_table(config.with_logs_in(folder), folder), report
+    export_table(model, grid, folder / TABLE, options)
+    return with_table(config.with_logs_in(folder), folder)
 
 
 def with_table(config: RunConfig, folder: Path) -> RunConfig:

@@ -72,7 +72,9 @@ def inputs(data: DataSets, effort: Effort) -> Study:
     """Fit the four networks straight from the inputs to the speed, and run them free."""
     output = data.config.narx.outputs[0]
     found = variants(data, effort, output)
-    best = min(found, key=lambda one: one.pooled)
+    last, best = found[-1], min(found, key=lambda one: one.pooled)
+    remark = "" if best is last else f"the best is: {best.name}"
+    name = symbol(output)
     return Study(
         key="inputs",
         title="One or many data sets, one or many inputs",
@@ -80,7 +82,10 @@ def inputs(data: DataSets, effort: Effort) -> Study:
         text=f"A plain NARX network from the inputs to {symbol(output)}, without a steady-state "
         "model; free run over whole test data sets, started from their first measured samples. "
         f"Test: data sets {data.labels(data.split.test)}.",
-        claims=_claims(found, best, output),
+        claims=[
+            claim("narx-paper", "mse", last.pooled, name=name, unit=unit(output)),
+            claim("narx-paper", "best", last.pooled / best.pooled, name=name, remark=remark),
+        ],
         tables=[_table(data, found, output)],
         pictures=_pictures(data, found, output),
         results={"output": output, "variants": [_row(data, one) for one in found]},
@@ -90,23 +95,25 @@ def inputs(data: DataSets, effort: Effort) -> Study:
 def variants(data: DataSets, effort: Effort, output: str) -> list[Variant]:
     """Single-single, single-multiple, multiple-single and multiple-multiple, in this order."""
     train, config = data.split.train, within(data.config, effort)
-    names, events = data.inputs, data.config.events
+    names, events, dt_s = data.inputs, data.config.events, train[0].dt_s
     plans = [
         (f"{many} data, {several} input", logs, chosen)
         for many, logs in (("single", train[:1]), ("multiple", train))
         for several, chosen in (("single", names[:1]), ("multiple", names))
     ]
     structure = NarxConfig(lags=2, taps=(0, 1), hidden=config.narx.hidden)
-    dt_s = train[0].dt_s
     tasks = [
         NetworkFit([record(log, chosen, output) for log in cut(logs, events)], structure, dt_s)
         for _, logs, chosen in plans
     ]
-    models = fit_all(tasks, config, effort.jobs)
-    return [
-        _judged(data.split.test, model, plan, output)
-        for model, plan in zip(models, plans, strict=True)
-    ]
+    tests, found = data.split.test, []
+    for model, (name, logs, fed) in zip(fit_all(tasks, config, effort.jobs), plans, strict=True):
+        runs = [
+            model.simulate(log.matrix(fed), _start(log[output], structure.lags))[:, 0]
+            for log in tests
+        ]
+        found.append(replace(Variant.of(name, fed, output, tests, runs), trained_on=logs))
+    return found
 
 
 def record(log: Log, names: Sequence[str], output: str) -> Record:
@@ -114,33 +121,10 @@ def record(log: Log, names: Sequence[str], output: str) -> Record:
     return Record(log.matrix(names), log.matrix([output]), log.name)
 
 
-def _judged(
-    tests: Sequence[Log],
-    model: NarxModel,
-    plan: tuple[str, tuple[Log, ...], tuple[str, ...]],
-    output: str,
-) -> Variant:
-    name, logs, chosen = plan
-    runs = [
-        model.simulate(log.matrix(chosen), _start(log[output], model.config.lags))[:, 0]
-        for log in tests
-    ]
-    return replace(Variant.of(name, chosen, output, tests, runs), trained_on=logs)
-
-
 def _start(measured: FloatArray, lags: int) -> FloatArray:
     """The first samples (lags, 1), a masked one replaced by the first known."""
     first = measured[np.isfinite(measured)][:1]
     return np.where(np.isfinite(measured[:lags]), measured[:lags], first)[:, None]
-
-
-def _claims(found: Sequence[Variant], best: Variant, output: str) -> list[Claim]:
-    last, name = found[-1], symbol(output)
-    remark = "" if best is last else f"the best is: {best.name}"
-    return [
-        claim("narx-paper", "mse", last.pooled, name=name, unit=unit(output)),
-        claim("narx-paper", "best", last.pooled / best.pooled, name=name, remark=remark),
-    ]
 
 
 def _table(data: DataSets, found: Sequence[Variant], output: str) -> Table:
