@@ -318,8 +318,9 @@ def rows(data: Path, sets: Sequence[str] = SETS, *, screening_only: bool = False
                 own.figures.extend(figures)
                 own.passes.append(passes)
         yield from _summary(name, own)
-        for every, part in zip(whole, own, strict=True):
-            every.extend(part)
+        whole.figures.extend(own.figures)
+        whole.passes.extend(own.passes)
+        whole.seen.extend(own.seen)
     if len(sets) > 1:
         yield from _summary("all recorders", whole)
 

@@ -265,7 +265,7 @@ def merged(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def _static_rows(kind: Kind, new: Sequence[Scaled]) -> list[tuple[object, ...]]:
-    rows = []
+    rows: list[tuple[object, ...]] = []
     for name in OUTPUTS:
         errors = np.array([one.errors_pct(name, one.static[name]) for one in new])
         rows.append((kind, STATIC, name, errors.mean(), errors.max(), np.nan, np.nan, len(new)))

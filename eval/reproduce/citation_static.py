@@ -279,8 +279,8 @@ def static_study(
 
     def scored(found: StaticFit, name: str, inputs: Columns = through) -> StaticRow:
         output = found.model.output
-        scores = (score(found.predict(one), new[output]) for one in (new, inputs))
-        return StaticRow(region.name, output, name, "", *scores, found)
+        validation, through_chain = (score(found.predict(x), new[output]) for x in (new, inputs))
+        return StaticRow(region.name, output, name, "", validation, through_chain, found)
 
     def attempt(model: StaticModel, settings: FitSettings) -> StaticRow:
         try:

@@ -70,7 +70,10 @@ def dynamic_claims(
 ) -> list[Claim]:
     """C9 to C13 and C15; `rows` pooled over the regions, `steps` the identification flights."""
     kinds = rows["kind"].unique()
-    table = {key: own.set_index("output") for key, own in rows.groupby(["kind", "model"])}
+    table = {
+        (str(kind), str(model)): own.set_index("output")
+        for (kind, model), own in rows.groupby(["kind", "model"])
+    }
     found = [*_starts(steps), *_steps(rows, table), *_orders(table, tables)]
     if len(kinds) == len(KINDS):
         found += [*_impulses_and_ramps(table)]

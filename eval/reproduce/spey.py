@@ -235,8 +235,8 @@ def _coverage_table(
     means, scatter = every.mean(), every["value"].std()
     rows = [
         (
-            name, figure(true, digits=4), figure(means.loc[name, "value"], digits=4),
-            means.loc[name, "sd"], scatter[name], shares[name], other[name],
+            name, figure(true, digits=4), figure(means["value"][name], digits=4),
+            means["sd"][name], scatter[name], shares[name], other[name],
         )
         for name, true in truth("left").items()
         if name in shares
