@@ -22,11 +22,6 @@ def test_what_the_papers_tables_bear_out_and_what_they_contradict():
     assert "C_HL -11 % (significant)" in four.remark
 
 
-def test_the_twin_differs_from_the_left_engine_in_tau_h_alone():
-    left, twin = truth("left"), truth("twin")
-    assert {name for name in left if left[name] != twin[name]} == {"tau_H", "tau_engine"}
-
-
 def test_coverage_counts_both_engines_and_pools_what_was_estimated():
     names = ["tau_H", "alpha", "tau_engine"]
 
