@@ -87,21 +87,19 @@ def rows(data: Path | None = None, campaigns: Sequence[Campaign] = CAMPAIGNS) ->
             note = f"not measured: {error}"
             found.append(Row(campaign.name, "all", math.nan, "", note=note))
             continue
-        found += list(campaign_rows(campaign, config, (base, files)))
+        for name, bundle, test in left_one_out(config, base, files):
+            found += _judged(campaign, name, bundle, test)
     return found
 
 
-def campaign_rows(
-    campaign: Campaign, config: RunConfig, where: tuple[Path, Sequence[Path]]
-) -> Iterator[Row]:
-    """Every flight in turn as the test flight."""
-    base, files = where
+def left_one_out(
+    config: RunConfig, base: Path, files: Sequence[Path]
+) -> Iterator[tuple[str, Bundle, list[Log]]]:
+    """Every flight in turn as the test flight: its name, a model of all others, its logs."""
     logs = [one.log for one in prepare(read_logs(files, config.logs), config)]
     for plan in leave_one_flight_out(logs, config.events):
-        train = [part.log for part in plan.train]
-        test = [part.log for part in plan.test]
-        bundle = trained_on(config, base, train)
-        yield from _judged(campaign, plan.name, bundle, test)
+        train, test = ([part.log for part in parts] for parts in (plan.train, plan.test))
+        yield plan.name, trained_on(config, base, train), test
 
 
 def trained_on(config: RunConfig, base: Path, logs: Sequence[Log]) -> Bundle:

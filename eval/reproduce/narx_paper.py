@@ -15,7 +15,6 @@ from typing import Any
 from data_prep.log import Log
 from eval.judging.log_evaluation import LogEvaluation
 from eval.judging.outcome import Outcome
-from eval.judging.scores import score
 from eval.reproduce.data import FAMILIES, DataSets, Effort, cut, within
 from eval.reproduce.inputs import deviations, inputs
 from eval.reproduce.noise import noise
@@ -34,6 +33,7 @@ from eval.reproduce.response import (
     response_times,
     splits,
     times_table,
+    worst_pct,
 )
 from eval.reproduce.study import Study, claim, missed, or_nan, outcome_of
 from narxcal.calibration.bundle import Bundle
@@ -90,7 +90,7 @@ def goal(data: DataSets, bundle: Bundle) -> Study:
     tests = [thinned(log, step) for log in tests]
     found = judged(bundle, tests)
     events = classed(data.config.events.driver, found)
-    pooled = {name: one.max_rel_pct for name, one in score([one.run for one in found]).items()}
+    pooled = worst_pct(found)
     classes = class_rows(events)
     rows = _families(found, events)
     every = figures_of(assessments_of(events))
@@ -124,8 +124,7 @@ def _families(found: Sequence[LogEvaluation], events: Sequence[Classed]) -> list
     for family in dict.fromkeys(family_of(one.log.name) for one in found):
         own = [one for one in events if family_of(one.log.log.name) == family]
         times = figures_of(assessments_of(own))
-        runs = [one.run for one in found if family_of(one.log.name) == family]
-        worst = {name: one.max_rel_pct for name, one in score(runs).items()}
+        worst = worst_pct([one for one in found if family_of(one.log.name) == family])
         rows.append({"group": family, **times, "max_rel_pct": worst})
     return rows
 

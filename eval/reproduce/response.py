@@ -123,6 +123,11 @@ def accuracy(
     )
 
 
+def worst_pct(found: Sequence[LogEvaluation]) -> dict[str, float]:
+    """Largest relative error per channel over whole logs, in percent."""
+    return {name: one.max_rel_pct for name, one in score([log.run for log in found]).items()}
+
+
 def class_rows(events: Sequence[Classed]) -> list[dict[str, Any]]:
     """One row per phase and direction, then per speed, with the worst of each channel."""
     groups = {

@@ -13,12 +13,10 @@ import numpy as np
 import pytest
 
 from data_prep.prepare import prepare
-from data_prep.reading import read_logs
-from eval.benchmarks.flights import trained_on
+from eval.benchmarks.flights import left_one_out, trained_on
 from eval.benchmarks.recorders import Recorder
 from eval.judging.evaluate import evaluate
 from training.config import load_config
-from training.folds import leave_one_flight_out
 from training.pipeline import calibrate, configured_files, prepare_logs
 from training.records import split_logs
 
@@ -27,12 +25,8 @@ DATA = Path(__file__).parents[3] / ".." / "shared" / "data"
 
 def left_out(config, base):
     """Free runs over each flight by a model of the others."""
-    logs = [
-        one.log for one in prepare(read_logs(configured_files(config, base), config.logs), config)
-    ]
-    for plan in leave_one_flight_out(logs, config.events):
-        train, test = ([part.log for part in parts] for parts in (plan.train, plan.test))
-        yield evaluate(trained_on(config, base, train), test)
+    for _, bundle, test in left_one_out(config, base, configured_files(config, base)):
+        yield evaluate(bundle, test)
 
 
 def held_out(config, base):
