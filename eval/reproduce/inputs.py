@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -74,7 +73,7 @@ def inputs(data: DataSets, effort: Effort) -> Study:
     found = variants(data, effort, output)
     last, best = found[-1], min(found, key=lambda one: one.pooled)
     remark = "" if best is last else f"the best is: {best.name}"
-    name = symbol(output)
+    name, tests = symbol(output), [str(data.number(log.name)) for log in data.split.test]
     return Study(
         key="inputs",
         title="One or many data sets, one or many inputs",
@@ -87,8 +86,20 @@ def inputs(data: DataSets, effort: Effort) -> Study:
             claim("narx-paper", "best", last.pooled / best.pooled, name=name, remark=remark),
         ],
         tables=[_table(data, found, output)],
-        pictures=_pictures(data, found, output),
-        results={"output": output, "variants": [_row(data, one) for one in found]},
+        pictures=[_picture(data.split.test[0], found, output)],
+        results={
+            "output": output,
+            "variants": [
+                {
+                    "variant": one.name,
+                    "inputs": list(one.fed),
+                    "trained_on": [data.number(log.name) for log in one.trained_on],
+                    "mse": dict(zip(tests, one.mse, strict=True)),
+                    "pooled_mse": one.pooled,
+                }
+                for one in found
+            ],
+        },
     )
 
 
@@ -103,8 +114,12 @@ def variants(data: DataSets, effort: Effort, output: str) -> list[Variant]:
     ]
     structure = NarxConfig(lags=2, taps=(0, 1), hidden=config.narx.hidden)
     tasks = [
-        NetworkFit([record(log, chosen, output) for log in cut(logs, events)], structure, dt_s)
-        for _, logs, chosen in plans
+        NetworkFit(
+            [Record(log.matrix(fed), log.matrix([output]), log.name) for log in cut(logs, events)],
+            structure,
+            dt_s,
+        )
+        for _, logs, fed in plans
     ]
     tests, found = data.split.test, []
     for model, (name, logs, fed) in zip(fit_all(tasks, config, effort.jobs), plans, strict=True):
@@ -114,11 +129,6 @@ def variants(data: DataSets, effort: Effort, output: str) -> list[Variant]:
         ]
         found.append(replace(Variant.of(name, fed, output, tests, runs), trained_on=logs))
     return found
-
-
-def record(log: Log, names: Sequence[str], output: str) -> Record:
-    """Training record of a plain network; `log` has its masked inputs filled."""
-    return Record(log.matrix(names), log.matrix([output]), log.name)
 
 
 def _start(measured: FloatArray, lags: int) -> FloatArray:
@@ -143,27 +153,9 @@ def _table(data: DataSets, found: Sequence[Variant], output: str) -> Table:
     return table_of(caption, ("variant", "inputs", "trained on", *tests, "all"), rows)
 
 
-def _pictures(data: DataSets, found: Sequence[Variant], output: str) -> list[Picture]:
-    labels = [data.label(log.name) for log in data.split.test]
-    groups = {one.name: np.array(one.mse) for one in found}
-    what = f"MSE of {symbol(output)} [({unit(output)})²]"
-    log = data.split.test[0]
+def _picture(log: Log, found: Sequence[Variant], output: str) -> Picture:
     shown = {one.name: one.runs[0] for one in found}
-    return [
-        figures.bars(labels, groups, what, CRITERION),
-        figures.free_runs(log.time_s, output, log[output], shown),
-    ]
-
-
-def _row(data: DataSets, one: Variant) -> dict[str, Any]:
-    tests = [data.number(log.name) for log in data.split.test]
-    return {
-        "variant": one.name,
-        "inputs": list(one.fed),
-        "trained_on": [data.number(log.name) for log in one.trained_on],
-        "mse": {str(number): value for number, value in zip(tests, one.mse, strict=True)},
-        "pooled_mse": one.pooled,
-    }
+    return figures.free_runs(log.time_s, output, log[output], shown)
 
 
 LIMIT_PCT = 5.0
