@@ -237,14 +237,14 @@ def test_the_worst_of_all_divisions_is_told():
 def test_divisions_hold_back_three_tenths_of_the_events(data, effort, monkeypatch):
     seen = []
     found = divided(data, effort, lambda *done: seen.append(done))
-    assert [tuple(counts) for *counts, _ in seen] == [(1, 2), (2, 2)]
+    assert [tuple(counts) for *counts, _ in seen] == [(1, 1)]
     monkeypatch.setattr("eval.reproduce.response.divided", lambda *_: found)
     study = splits(data, effort)
     for one in found.folds:
         count = len(one.train) + len(one.test)
         assert len(one.train) == round(0.7 * count)
         assert not set(one.train) & set(one.test)
-    assert study.title == "2 random 7:3 divisions"
+    assert study.title == "1 random 7:3 divisions"
     assert study.results["worst"] == worst_of(found)
     json.dumps(study.results)
 
