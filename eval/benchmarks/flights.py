@@ -12,6 +12,7 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -86,24 +87,23 @@ def rows(data: Path | None = None, campaigns: Sequence[Campaign] = CAMPAIGNS) ->
             note = f"not measured: {error}"
             found.append(Row(campaign.name, "all", math.nan, "", note=note))
             continue
-        found += list(campaign_rows(campaign, config, (base, files)))
+        for name, bundle, test in left_one_out(config, base, files):
+            found += _judged(campaign, name, bundle, test)
     return found
 
 
-def campaign_rows(
-    campaign: Campaign, config: RunConfig, where: tuple[Path, Sequence[Path]]
-) -> Iterator[Row]:
-    """Every flight in turn as the test flight."""
-    base, files = where
+def left_one_out(
+    config: RunConfig, base: Path, files: Sequence[Path]
+) -> Iterator[tuple[str, Bundle, list[Log]]]:
+    """Every flight in turn as the test flight: its name, a model of all others, its logs."""
     logs = [one.log for one in prepare(read_logs(files, config.logs), config)]
     for plan in leave_one_flight_out(logs, config.events):
-        train = [part.log for part in plan.train]
-        test = [part.log for part in plan.test]
-        bundle = _calibrated(config, base, train)
-        yield from _judged(campaign, plan.name, bundle, test)
+        train, test = ([part.log for part in parts] for parts in (plan.train, plan.test))
+        yield plan.name, trained_on(config, base, train), test
 
 
-def _calibrated(config: RunConfig, base: Path, logs: Sequence[Log]) -> Bundle:
+def trained_on(config: RunConfig, base: Path, logs: Sequence[Log]) -> Bundle:
+    """A model of all of these prepared logs."""
     held = tuple(hold_inputs(log, config.steady_state.inputs) for log in logs)
     return calibrate(config, base, Split(held, (), ()))
 
@@ -112,8 +112,8 @@ def _judged(campaign: Campaign, name: str, bundle: Bundle, test: Sequence[Log]) 
     for trim, targets in ((None, campaign.as_is), (_PART, campaign.trimmed)):
         found = evaluate(bundle, test, trim)
         group = f"{campaign.name}, {name}, {'as is' if trim is None else f'trim {trim:g}'}"
-        yield from _errors(campaign, group, found, targets)
         yield from _response_times(campaign, group, found.tally, found.config.transients.rules)
+        yield from _errors(campaign, group, found, targets)
         windows = _windows(campaign, test)
         if windows:
             yield from _outside(campaign, (group, found), windows, targets)
@@ -135,12 +135,12 @@ def _outside(
     """The same figures, errors pooled over all engines, where no unlogged load was found."""
     group, found = judged[0] + ", outside unlogged loads", judged[1]
     rmse, counts = _unloaded(found, windows)
+    yield from _response_times(campaign, group, counts, found.config.transients.rules)
     for output, value in zip(found.logs[0].run.channels, rmse.tolist(), strict=True):
         yield Row(
             group, f"RMSE {output}", value, channel(output).unit,
             targets[output], "at most", _SOURCE, "pooled over the engines",
         )  # fmt: skip
-    yield from _response_times(campaign, group, counts, found.config.transients.rules)
 
 
 def _unloaded(
@@ -184,6 +184,31 @@ def _response_times(campaign: Campaign, group: str, counts: Tally, rules: str) -
     yield Row(
         group, "Ti and Tt passed", passed, "%", campaign.passed_pct, "at least", _SOURCE, note
     )
+
+
+class Passes(NamedTuple):
+    """Response times in tolerance, how many were assessed, and those of the best baseline."""
+
+    passed: int
+    assessed: int
+    baseline: int
+
+    @classmethod
+    def of(cls, found: Evaluation, baselines: Sequence[str]) -> Passes:
+        """Count over all logs; `baselines` are those that the model is compared with."""
+        best = max(
+            sum(log.baselines[name].passed for log in found.logs if name in log.baselines)
+            for name in baselines
+        )
+        return cls(found.tally.passed, found.tally.assessed, best)
+
+    def row(self, group: str, name: str, source: str) -> Row:
+        """As a share, with the baseline's as the target."""
+        share = 100.0 / self.assessed if self.assessed else math.nan
+        note = f"{self.passed} of {self.assessed}; best baseline {self.baseline}"
+        return Row(
+            group, name, share * self.passed, "%", share * self.baseline, "at least", source, note
+        )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -3,6 +3,7 @@
 Each recording of a set is trained on by itself, and what was not trained on is judged. A figure is
 the free-run RMSE of one output, pooled over the judged logs, over that of the best of steady state,
 first-order lag, linear ARX and output error. A figure is lost where nothing is left to judge it by.
+Before them stand the response times in tolerance, beside those of the best baseline of a division.
 Screening is judged by the samples that it masks and the logs with a finding, though nothing is
 wrong with them (`KNOWN` says where something is).
 
@@ -17,25 +18,25 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
 import pandas as pd
 from scipy.optimize import minimize
 
 from data_prep.log import Finding, Log, Source
-from data_prep.prepare import hold_inputs, prepare, with_outputs
+from data_prep.prepare import prepare, with_outputs
 from data_prep.reading import read_logs, shared_interval_s
 from data_prep.sources.grid import joined
 from eval.benchmarks import Row
-from eval.judging.evaluate import Evaluation, evaluate
+from eval.benchmarks.flights import Passes, trained_on
+from eval.judging.evaluate import evaluate
+from eval.judging.free_run import BASELINES
 from eval.run_logs import bank_of
 from narxcal.channels import channel
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import NarxcalError
 from training.config import RunConfig, load_config
-from training.pipeline import calibrate
-from training.records import Split
 from training.screening.masking import cross_screen
 from training.screening.redundancy import is_measured
 from training.screening.scatter import PRIORS, Priors, ScatterPrior, StepPrior
@@ -120,11 +121,10 @@ class Screened:
 
 @dataclass(frozen=True)
 class Figure:
-    """One output of one division: RMSE with masks, as recorded, and of the baselines."""
+    """One output of one division: RMSE of the free run and of the baselines."""
 
     output: str
     rmse: float
-    as_recorded: float
     baselines: Mapping[str, float] = field(default_factory=dict)
     why: str = ""
 
@@ -178,27 +178,33 @@ def _is(one: Finding, known: tuple[str, float, float]) -> bool:
     return one.channels == (known[0],) and (one.end_s or math.inf) < known[2] + _SLACK_S
 
 
-def trained(recorder: Recorder, train: Sequence[Log], judged: Sequence[Log]) -> list[Figure]:
-    """Train on `train`, and judge each output on `judged`."""
+def trained(
+    recorder: Recorder, train: Sequence[Log], judged: Sequence[Log]
+) -> tuple[list[Figure], Passes]:
+    """Train on `train`, and judge response times and each output on `judged`."""
     config = recorder.config
     try:
-        logs = tuple(
-            hold_inputs(one.log, config.steady_state.inputs) for one in prepare(train, config)
-        )
-        bundle = calibrate(config, Path(), Split(logs, (), ()))
+        logs = [one.log for one in prepare(train, config)]
+        bundle = trained_on(config, Path(), logs)
         whole = joined([one.log for one in prepare(judged, config)])
         others = screened(
             bank_of(bundle), [with_outputs(log, config.narx.outputs) for log in whole]
         )
         found = evaluate(bundle, others)
     except NarxcalError as error:
-        return [Figure(name, math.nan, math.nan, why=str(error)) for name in config.narx.outputs]
-    figures = list(_figures(found))
+        lost = [Figure(name, math.nan, why=str(error)) for name in config.narx.outputs]
+        return lost, Passes(0, 0, 0)
     extra = _output_error(config, logs, others)
-    return [
-        replace(one, baselines={**one.baselines, "output error": extra.get(one.output, math.nan)})
-        for one in figures
+    figures = [
+        Figure(
+            name,
+            pooled.rmse,
+            {**pooled.baselines, "output error": extra.get(name, math.nan)},
+            "" if math.isfinite(pooled.rmse) else "every sample is masked",
+        )
+        for name, pooled in found.pooled.items()
     ]
+    return figures, Passes.of(found, BASELINES)
 
 
 def _output_error(
@@ -207,25 +213,11 @@ def _output_error(
     """RMSE of output-error fits: the two-spool engine's, else a response of each output."""
     for method in ("output-error", "transfer"):
         try:
-            bundle = calibrate(
-                config.having(identify={"method": method}), Path(), Split(tuple(train), (), ())
-            )
+            bundle = trained_on(config.having(identify={"method": method}), Path(), train)
             return {name: one.rmse for name, one in evaluate(bundle, judged).pooled.items()}
         except (NarxcalError, ValueError):
             continue
     return {}
-
-
-def _figures(found: Evaluation) -> Iterator[Figure]:
-    for name, pooled in found.pooled.items():
-        squares, count = 0.0, 0.0
-        for log in found.logs:
-            one = log.as_recorded.get(name, log.scores[name])
-            if math.isfinite(one.rmse):
-                squares, count = squares + one.samples * one.rmse**2, count + one.samples
-        as_recorded = math.sqrt(squares / count) if count else math.nan
-        why = "" if math.isfinite(pooled.rmse) else "every sample is masked"
-        yield Figure(name, pooled.rmse, as_recorded, pooled.baselines, why)
 
 
 @dataclass(frozen=True, eq=False)
@@ -305,8 +297,7 @@ def rows(data: Path, sets: Sequence[str] = SETS, *, screening_only: bool = False
 
     Screening has the priors by all other recorders; trained models have the shipped ones.
     """
-    figures: list[Figure] = []
-    seen: list[Screened] = []
+    whole = Measured([], [], [])
     priors = priors_of_others(data)
     for name in sets:
         try:
@@ -314,45 +305,57 @@ def rows(data: Path, sets: Sequence[str] = SETS, *, screening_only: bool = False
         except NarxcalError as error:
             yield Row(name, "all", math.nan, "", note=f"not measured: {error}")
             continue
-        own: list[Figure] = []
-        checked: list[Screened] = []
+        own = Measured([], [], [])
         for recording, train, judged in recorder.divisions():
-            checked += screening(recorder, train, judged, priors.get(name, PRIORS))
+            own.seen.extend(screening(recorder, train, judged, priors.get(name, PRIORS)))
             if not screening_only:
-                part = trained(recorder, train, judged)
-                yield from (_row(name, recording, one) for one in part)
-                own += part
-        yield from _summary(name, own, checked)
-        figures += own
-        seen += checked
+                figures, passes = trained(recorder, train, judged)
+                yield passes.row(name, f"{recording}: Ti and Tt passed", _SOURCE)
+                yield from (_row(name, recording, one) for one in figures)
+                own.figures.extend(figures)
+                own.passes.append(passes)
+        yield from _summary(name, own)
+        whole.figures.extend(own.figures)
+        whole.passes.extend(own.passes)
+        whole.seen.extend(own.seen)
     if len(sets) > 1:
-        yield from _summary("all recorders", figures, seen)
+        yield from _summary("all recorders", whole)
 
 
-_SOURCE: Final = "best of steady state, first-order lag, ARX, output error"
+class Measured(NamedTuple):
+    """What was measured of divisions; `seen` are logs."""
+
+    figures: list[Figure]
+    passes: list[Passes]
+    seen: list[Screened]
+
+
+_SOURCE: Final = "best of steady state, first-order lag, ARX; of errors also output error"
 
 
 def _row(name: str, recording: str, one: Figure) -> Row:
-    note = one.why or f"as recorded {one.as_recorded:.4g}"
     title = f"{recording}: {one.output}"
     unit = channel(one.output).unit
-    return Row(name, title, one.rmse, unit, one.best, "at most", _SOURCE, note)
+    return Row(name, title, one.rmse, unit, one.best, "at most", _SOURCE, one.why)
 
 
 _TARGET: Final = "our goal"
 
 
-def _summary(name: str, figures: Sequence[Figure], seen: Sequence[Screened]) -> Iterator[Row]:
+def _summary(name: str, found: Measured) -> Iterator[Row]:
     group = f"{name}, together"
-    ratios = [one.ratio for one in figures if math.isfinite(one.ratio)]
+    if found.passes:
+        total = Passes(*map(sum, zip(*found.passes, strict=True)))
+        yield total.row(group, "Ti and Tt passed", _SOURCE)
+    ratios = [one.ratio for one in found.figures if math.isfinite(one.ratio)]
     if ratios:
         mean = math.exp(float(np.mean(np.log(ratios))))
         yield Row(group, "geometric mean over the best", mean, "", 0.92, "at most", _TARGET)
         yield Row(group, "worst over the best", max(ratios), "", 1.1, "at most", _TARGET)
-    if figures:
-        lost, note = len(figures) - len(ratios), f"of {len(figures)}"
+    if found.figures:
+        lost, note = len(found.figures) - len(ratios), f"of {len(found.figures)}"
         yield Row(group, "figures lost", float(lost), "", 0.0, "at most", _TARGET, note)
-    yield from _screening_rows(group, seen)
+    yield from _screening_rows(group, found.seen)
 
 
 def _screening_rows(group: str, seen: Sequence[Screened]) -> Iterator[Row]:

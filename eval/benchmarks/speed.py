@@ -4,10 +4,6 @@ Kernels: the network is that of the public comparison: one input, one output, 30
 with two lags, on one thread. Where tsfast is installed (extra `bench`), its generated C++ kernel
 runs the same network in turn with ours. Replay: CSV to CSV with the fuser on a virtual flight at
 32 Hz.
-
-`python -m eval.benchmarks.speed` prints the rates by which a choice counts its work
-(`training/estimator/search.py`): least squares on the relative error of the microseconds per
-accepted step of Levenberg-Marquardt, with all that a fit does around it. Run it on a quiet machine.
 """
 
 from __future__ import annotations
@@ -17,17 +13,15 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from importlib.util import find_spec
-from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 import torch
-from scipy.optimize import nnls
 
 from data_prep.log import Log
 from eval.benchmarks import Row
@@ -38,17 +32,13 @@ from narxcal.calibration.fuser import KalmanFuser
 from narxcal.calibration.noise import NoiseModel
 from narxcal.flight_test.fly import load_scenario, write_flights
 from narxcal.narx.config import NarxConfig
-from narxcal.narx.latent import Shape
-from narxcal.narx.network import NarxModel, Scaling
+from narxcal.narx.network import NarxModel
 from narxcal.record import Record
 from narxcal.support.arrays import FloatArray
 from training.config import RunConfig, load_config
 from training.dynamics.free_run import FreeRunProblem, cut_windows
-from training.dynamics.network import Material, net_of, new_model
+from training.dynamics.network import net_of, new_model
 from training.dynamics.optimisers import adam
-from training.estimator.forms import drawn_networks, network_kind, network_size
-from training.estimator.latent import Data, at_decay, fit_linear, grown
-from training.estimator.search import counted
 from training.pipeline import calibrate, prepare_logs
 from training.records import Split
 
@@ -244,7 +234,7 @@ def _briefly_trained(config: RunConfig, base: Path, flight: Path) -> tuple[Log, 
     The engine itself is solved anew at every row, which takes several times as long as all else:
     a replay over it would measure the maker's model.
     """
-    config, _ = flown(config, base, flight.parent)
+    config = flown(config, base, flight.parent)
     config = config.having(train={"horizons_s": (5.0,), "iterations": (2,)})
     log = prepare_logs(config, [flight], 1.0 / 32.0)[0]
     return log, calibrate(config, base, Split((log,), (), ()))
@@ -264,63 +254,3 @@ def step_seconds(bundle: Bundle, log: Log, steps: int) -> tuple[FloatArray, Floa
         busy.append(time.thread_time() - began[1])
         wall.append(time.perf_counter() - began[0])
     return np.array(wall), np.array(busy)
-
-
-_SIZES = tuple(product((500, 4000), (1, 9)))  # samples; one in so many rows is scored
-_LATENT = (
-    (1, 1, 1, 0), (2, 1, 1, 0), (4, 1, 1, 0), (8, 1, 1, 0), (4, 3, 3, 0), (1, 1, 1, 8),
-    (2, 1, 1, 4), (2, 1, 1, 16), (3, 2, 2, 8), (4, 1, 1, 8), (6, 1, 1, 8), (8, 1, 1, 16),
-    (3, 4, 3, 8), (6, 4, 3, 8),
-)  # states, inputs, outputs, hidden units # fmt: skip
-_NETWORKS = ((1, 1), (1, 2), (2, 2), (4, 1), (4, 3))  # inputs, outputs
-
-StepCost = tuple[tuple[float, ...], float]  # what is counted in a step, and its microseconds
-
-
-def _drawn(samples: int, inputs: int, outputs: int) -> Record:
-    draw = np.random.default_rng(samples + inputs)
-    u = np.repeat(draw.standard_normal((samples // 10 + 1, inputs)), 10, axis=0)[:samples]
-    y = np.zeros((samples, outputs))
-    pull = np.tanh(u @ draw.standard_normal((inputs, outputs)))
-    for k in range(1, samples):
-        y[k] = 0.9 * y[k - 1] + 0.1 * pull[k - 1] - 0.02 * y[k - 1] * np.abs(y[k - 1])
-    return Record(u, y + 0.02 * draw.standard_normal(y.shape), "drawn")
-
-
-def _latent() -> Iterator[StepCost]:
-    for (n, m, p, h), (samples, every) in product(_LATENT, _SIZES):
-        record = _drawn(samples, m, p)
-        data = Data.of([record], (0,) * m, (Scaling.of(record.u), Scaling.of(record.y)), every)
-        base = fit_linear(data, Shape(n, m, p, 0, (0,) * m))
-        if base is None:
-            continue
-        start = grown(base, h, seed=0) if h else base
-        at_decay(start, data, 1e-4, 1)
-        began = time.process_time()
-        used = sum(at_decay(start, data, decay, 6)[2] for decay in (1e-3, 1e-5, 1e-7))
-        spent = time.process_time() - began
-        rows = float(sum(np.count_nonzero(root) for root in data.roots))
-        if used:
-            yield counted(samples, rows, start.shape.size, (h, n)), 1e6 * spent / used
-
-
-def _networks() -> Iterator[StepCost]:
-    for (m, p), (samples, every) in product(_NETWORKS, _SIZES):
-        learned = Material([_drawn(samples, m, p)], (), 1.0)
-        began = time.process_time()
-        steps = drawn_networks(learned, (1e-5, 1e-7), 0, every)[1]
-        spent = time.process_time() - began
-        rows = samples * p / every
-        yield counted(samples, rows, network_size(m, p), network_kind(p)), 1e6 * spent / steps
-
-
-def rates(rows: Sequence[StepCost]) -> FloatArray:
-    """Rates >= 0 by least squares on relative errors."""
-    matrix = np.array([count for count, _ in rows]) / np.array([cost for _, cost in rows])[:, None]
-    return np.asarray(nnls(matrix, np.ones(len(matrix)))[0])
-
-
-if __name__ == "__main__":
-    for name, measured in (("LATENT_STEP", _latent()), ("NETWORK_STEP", _networks())):
-        found = ", ".join(f"{rate:.2g}" for rate in rates(list(measured)))
-        sys.stdout.write(f"{name} = Rates({found})\n")

@@ -27,7 +27,7 @@ fair coin (McNemar's exact test) and, of several flights, the mean difference ov
 by flights (`training.folds.clustered`) with Student's t: the larger p counts, for few transients make
 the one uncertain and flights that differ the other. p is of the whole table, by Holm.
 
-`python -m eval.benchmarks.comparisons` measures false claims and power.
+`python -m eval.benchmarks.comparisons` of 5da55ff measured false claims and power.
 """  # noqa: E501 -- a table
 
 from __future__ import annotations

@@ -371,24 +371,3 @@ def fused(
     style.over_time(axes, channel)
     style.legend(axes, columns=5)
     return picture(figure, f"{symbol(channel)} with noise, fused and true", caption)
-
-
-def bars(
-    labels: Sequence[str], groups: Mapping[str, FloatArray], what: str, limit: float
-) -> Picture:
-    """Grouped bars on a logarithmic scale: one group per label, one bar per name, a limit line."""
-    figure = style.figure(10.0, 2.7)
-    axes = figure.subplots()
-    width = 0.8 / max(1, len(groups))
-    place = np.arange(len(labels), dtype=np.float64)
-    for k, (colour, (name, values)) in enumerate(zip(style.CYCLE, groups.items(), strict=False)):
-        axes.bar(
-            place + (k - 0.5 * (len(groups) - 1)) * width, values, width, color=colour, label=name
-        )
-    axes.axhline(limit, color=style.BAD, lw=1.0, ls=":")
-    axes.set_xticks(place, list(labels))
-    axes.set_ylabel(what)
-    axes.set_yscale("log")
-    style.dress(axes, grid="y")
-    style.legend(axes, columns=4)
-    return picture(figure, f"{what} of {', '.join(groups)}", "The dotted line is the criterion.")

@@ -9,23 +9,24 @@ output itself, and taken for slow steps, as the paper does.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.ticker import NullFormatter
 
 from eval.report import style
 from eval.report.style import Picture, picture
 from eval.reproduce.citation_static import (
     KINDS,
+    MOVED,
     OUTPUTS,
     T_S,
     Disturbance,
     Kind,
     RegionStudy,
-    Role,
+    chained,
     disturbances,
 )
 from narxcal.channels import symbol
@@ -46,32 +47,22 @@ from training.papers.transfer_fit import (
 # Numbers of the paper's figures of success and mean error.
 FIGURES: dict[Kind, tuple[int, int]] = {"step": (16, 17), "impulse": (18, 19), "ramp": (20, 21)}
 _SHOWN_S = {"impulse": 4.0, "ramp": 60.0}  # an impulse is over soon
-_MOST_PCT = 1e4  # a diverged model is drawn up to here
 
 
-def dynamic_pictures(rows: Sequence[DynamicRow], studies: Sequence[DynamicStudy]) -> list[Picture]:
-    """All figures of which the flights were flown."""
-    shown = studies[-1].shown
-    found = []
+def dynamic_pictures(study: DynamicStudy) -> list[Picture]:
+    """Figures 10 to 15, as far as the flights were flown."""
+    shown, found = study.shown, []
     if "step" in shown:
-        found += [_step(shown["step"]), _rise(shown["step"]), _entries(studies[-1])]
+        found += [_step(shown["step"]), _rise(shown["step"]), _entries(study)]
     for number, kind in ((13, "impulse"), (14, "ramp")):
         if kind in shown:
             found.append(_disturbed(number, kind, shown[kind]))
-    for kind, (success, error) in FIGURES.items():
-        own = [row for row in rows if row.kind == kind and np.isfinite(row.success_pct)]
-        if own:
-            found += [
-                _bars(success, kind, own, "success_pct"),
-                _bars(error, kind, own, "mean_pct"),
-            ]
     return found
 
 
 def _ratios(flight: Scaled) -> dict[str, FloatArray]:
     """Output over its static value from the onset on, by output."""
-    at = flight.flight.onset
-    return {name: flight.flight.columns[name][at:] / flight.static[name] for name in OUTPUTS}
+    return {name: flight.flown[name] / flight.static[name] for name in OUTPUTS}
 
 
 def _lines(axes: Axes, curves: dict[str, FloatArray], label: str) -> None:
@@ -110,10 +101,9 @@ def _rise(flight: Scaled) -> Picture:
 
 
 def _disturbed(number: int, kind: Kind, flight: Scaled) -> Picture:
-    at, drawn = flight.flight.onset, style.pair(10.0, 2.9)
-    figure, left, right = drawn
+    figure, left, right = style.pair(10.0, 2.9)
     shown = slice(round(_SHOWN_S[kind] / T_S))
-    plain = {name: flight.flight.columns[name][at:][shown] for name in OUTPUTS}
+    plain = {name: flight.flown[name][shown] for name in OUTPUTS}
     _lines(left, {n: v / np.abs(v[0]) for n, v in plain.items()}, "output / first value [-]")
     _lines(right, {n: v[shown] for n, v in _ratios(flight).items()}, "output / static value [-]")
     caption = (
@@ -135,27 +125,6 @@ def _entries(study: DynamicStudy) -> Picture:
         style.legend(axes, columns=4)
     caption = "Figure 15: first entry of A over altitude and amplitude, in two forms."
     return picture(figure, "First entry of the state matrix over altitude and amplitude", caption)
-
-
-def _bars(number: int, kind: Kind, rows: Sequence[DynamicRow], what: str) -> Picture:
-    """One panel per output, one bar per model."""
-    models = list(dict.fromkeys(row.model for row in rows))
-    figure = style.figure(10.0, 0.9 + 0.19 * len(models))
-    panels = figure.subplots(1, len(OUTPUTS), sharey=True)
-    for axes, output in zip(panels, OUTPUTS, strict=True):
-        own = {row.model: getattr(row, what) for row in rows if row.output == output}
-        values = [min(own.get(model, np.nan), _MOST_PCT) for model in models]
-        axes.barh(range(len(models)), values, color=style.MODEL, height=0.7)
-        axes.set_xlabel(symbol(output))
-        if what == "mean_pct":
-            axes.set_xscale("log")
-            axes.xaxis.set_minor_formatter(NullFormatter())
-        style.dress(axes, size=7.0, grid="x")
-    panels[0].set_yticks(range(len(models)), models)
-    panels[0].invert_yaxis()
-    words = "validation success" if what == "success_pct" else "mean relative error"
-    caption = f"Figure {number}: {words} of responses to a {kind}, in %."
-    return picture(figure, f"{words} by model and output, {kind}", caption)
 
 
 BLOCK_ROWS = 10
@@ -187,24 +156,35 @@ class Scaled:
     scales: Mapping[str, Scale]
     y: FloatArray
 
+    @classmethod
+    def of(cls, study: RegionStudy, flight: Disturbance) -> Scaled:
+        """Scale one flight by the static model of its region."""
+        whole = chained(study.chain, flight.columns)
+        static = {name: values[MOVED:] for name, values in whole.items()}
+        scales, y = {}, []
+        for name in OUTPUTS:
+            values = flight.columns[name][MOVED:]
+            ratio = values if flight.kind == "ramp" else values / static[name]
+            scales[name] = Scale.of(ratio, name=f"{name} of the {flight.kind}")
+            y.append(scales[name].scaled(ratio))
+        return cls(flight, static, scales, np.column_stack(y))
+
+    @property
+    def flown(self) -> dict[str, FloatArray]:
+        """Outputs (time,) as they were."""
+        return {name: self.flight.columns[name][MOVED:] for name in OUTPUTS}
+
     def output(self, name: str, y: FloatArray, ends: FloatArray) -> FloatArray:
         """Output (time,) of a scaled response between the ratios (or values) `ends`."""
         scaled = Scale(*ends).ratio(y)
         return scaled if self.flight.kind == "ramp" else scaled * self.static[name]
 
-
-@dataclass(frozen=True)
-class DynamicRow:
-    """One model of one output over the validation flights of all regions."""
-
-    kind: Kind
-    model: str
-    output: str
-    mean_pct: float
-    worst_pct: float  # largest error of a sample
-    success_pct: float
-    identified_pct: float  # success at the identification flights, without interpolation
-    flights: int
+    def errors_pct(self, name: str, predicted: FloatArray) -> FloatArray:
+        """Relative error (time,); at most 1e6 %, so that a divergence has a mean."""
+        measured = self.flown[name]
+        with np.errstate(over="ignore", invalid="ignore"):
+            error = np.abs(predicted - measured) / np.abs(measured)
+        return 100.0 * np.minimum(np.nan_to_num(error, nan=1e4), 1e4)
 
 
 def grey_boxes(kind: Kind) -> list[Candidate]:
@@ -237,82 +217,59 @@ def black_boxes() -> list[Candidate]:
 class DynamicStudy:
     """Rows of all models in one region, and of the steps the flights and the parameter tables.
 
-    A table (altitude, amplitude, P) belongs to a model and a group of outputs; `shown` is the last
+    A row is of a model and an output over the validation flights: mean and largest error of a
+    sample, success, and success at the identification flights, without interpolation. A table
+    (altitude, amplitude, P) belongs to a model and a group of outputs; `shown` is the last
     identification flight of each kind, at the highest altitude and largest amplitude.
     """
 
-    rows: list[DynamicRow]
+    rows: pd.DataFrame
     steps: list[Scaled]
     tables: dict[tuple[str, str], FloatArray]
     shown: dict[Kind, Scaled]
+
+
+_COLUMNS = ("kind", "model", "output", "mean_pct", "worst_pct", "success_pct", "identified_pct")
 
 
 def dynamic_study(
     study: RegionStudy, engine: VirtualEngine, kinds: Sequence[Kind] = KINDS
 ) -> DynamicStudy:
     """Fit every dynamic model to disturbances of each kind and score it on others."""
-    rows: list[DynamicRow] = []
-    steps: list[Scaled] = []
-    tables: dict[tuple[str, str], FloatArray] = {}
-    shown: dict[Kind, Scaled] = {}
+    rows: list[tuple[object, ...]] = []
+    found = DynamicStudy(pd.DataFrame(), [], {}, {})
     for kind in kinds:
-        known = scaled_flights(study, engine, kind, "identification")
-        new = scaled_flights(study, engine, kind, "validation")
+        known, new = (
+            [Scaled.of(study, flight) for flight in disturbances(engine, study.region, role, kind)]
+            for role in ("identification", "validation")
+        )
         rows += _static_rows(kind, new)
-        shown[kind] = known[-1]
-        steps += known if kind == "step" else []
+        found.shown[kind] = known[-1]
+        found.steps.extend(known if kind == "step" else [])
         for candidate in [*grey_boxes(kind), *black_boxes()]:
             for group in candidate.group:
-                found, table = _group_rows(study, candidate, group, (known, new))
-                rows += found
+                own, table = _group_rows(study, candidate, group, (known, new))
+                rows += own
                 if kind == "step":
-                    tables[candidate.name, "+".join(group)] = table
-    return DynamicStudy(rows, steps, tables, shown)
+                    found.tables[candidate.name, "+".join(group)] = table
+    return replace(found, rows=pd.DataFrame(rows, columns=[*_COLUMNS, "flights"]))
 
 
-def scaled_flights(
-    study: RegionStudy, engine: VirtualEngine, kind: Kind, role: Role
-) -> list[Scaled]:
-    """Fly one kind of disturbance and scale its responses."""
-    flown = disturbances(engine, study.region, role, kind)
-    return [_scaled(study, flight) for flight in flown]
-
-
-def merged(rows: Sequence[DynamicRow]) -> list[DynamicRow]:
+def merged(rows: pd.DataFrame) -> pd.DataFrame:
     """Rows of several regions pooled by kind, model and output, weighted by flights."""
-    keys = dict.fromkeys((row.kind, row.model, row.output) for row in rows)
-    return [_pooled([r for r in rows if (r.kind, r.model, r.output) == key]) for key in keys]
+    means = ["mean_pct", "success_pct", "identified_pct"]
+    weighted = rows.assign(**{name: rows[name] * rows["flights"] for name in means})
+    groups = weighted.groupby(["kind", "model", "output"], sort=False)
+    found = groups[[*means, "flights"]].sum(min_count=1)
+    found[means] = found[means].div(found["flights"], axis=0)
+    return found.join(groups["worst_pct"].max()).reset_index()[list(rows)]
 
 
-def _pooled(rows: Sequence[DynamicRow]) -> DynamicRow:
-    flights = np.array([row.flights for row in rows], dtype=float)
-    values = np.array([[r.mean_pct, r.success_pct, r.identified_pct] for r in rows])
-    mean, success, identified = (flights @ values / flights.sum()).tolist()
-    worst = max(row.worst_pct for row in rows)
-    first = rows[0]
-    return DynamicRow(
-        first.kind, first.model, first.output, mean, worst, success, identified, int(flights.sum())
-    )
-
-
-def _scaled(study: RegionStudy, flight: Disturbance) -> Scaled:
-    whole, at = study.static(flight.columns), flight.onset
-    static = {name: values[at:] for name, values in whole.items()}
-    scales, y = {}, []
+def _static_rows(kind: Kind, new: Sequence[Scaled]) -> list[tuple[object, ...]]:
+    rows: list[tuple[object, ...]] = []
     for name in OUTPUTS:
-        values = flight.columns[name][at:]
-        ratio = values if flight.kind == "ramp" else values / static[name]
-        scales[name] = Scale.of(ratio, name=f"{name} of the {flight.kind}")
-        y.append(scales[name].scaled(ratio))
-    return Scaled(flight, static, scales, np.column_stack(y))
-
-
-def _static_rows(kind: Kind, new: Sequence[Scaled]) -> list[DynamicRow]:
-    rows = []
-    for name in OUTPUTS:
-        errors = np.array([_errors(s, name, s.static[name]) for s in new])
-        mean, worst = float(errors.mean()), float(errors.max())
-        rows.append(DynamicRow(kind, STATIC, name, mean, worst, np.nan, np.nan, len(new)))
+        errors = np.array([one.errors_pct(name, one.static[name]) for one in new])
+        rows.append((kind, STATIC, name, errors.mean(), errors.max(), np.nan, np.nan, len(new)))
     return rows
 
 
@@ -321,7 +278,7 @@ def _group_rows(
     candidate: Candidate,
     group: tuple[str, ...],
     flights: tuple[Sequence[Scaled], Sequence[Scaled]],
-) -> tuple[list[DynamicRow], FloatArray]:
+) -> tuple[list[tuple[object, ...]], FloatArray]:
     """Fit at every identification flight, interpolate at the validation flights, score."""
     known, new = flights
     at, count = [OUTPUTS.index(name) for name in group], len(known[0].y)
@@ -340,22 +297,13 @@ def _group_rows(
             y = candidate.response(schedule.at(condition), count)
         edges = limits.at(condition).reshape(-1, 2)
         errors.append([
-            _errors(s, name, s.output(name, y[:, k], edges[k])) for k, name in enumerate(group)
+            s.errors_pct(name, s.output(name, y[:, k], edges[k])) for k, name in enumerate(group)
         ])  # fmt: skip
         agreed.append(_agree(y, s.y[:, at]))
-    cube = np.array(errors)
-    columns = zip(
-        cube.mean(axis=(0, 2)), cube.max(axis=(0, 2)), 100.0 * np.mean(agreed, axis=0),
-        100.0 * np.mean(identified, axis=0), strict=True,
-    )  # fmt: skip
-    kind = known[0].flight.kind
-    rows = [
-        DynamicRow(kind, candidate.name, name, mean, worst, success, known_success, len(new))
-        for name, (mean, worst, success, known_success) in zip(
-            group, ([float(x) for x in column] for column in columns), strict=True
-        )
-    ]
-    return rows, schedule.values
+    cube, kind = np.array(errors), known[0].flight.kind
+    success, first = (100.0 * np.mean(each, axis=0) for each in (agreed, identified))
+    columns = zip(group, cube.mean(axis=(0, 2)), cube.max(axis=(0, 2)), success, first, strict=True)
+    return [(kind, candidate.name, *values, len(new)) for values in columns], schedule.values  # noqa: PD011 -- no data frame
 
 
 def _agree(model: FloatArray, data: FloatArray) -> list[bool]:
@@ -364,20 +312,12 @@ def _agree(model: FloatArray, data: FloatArray) -> list[bool]:
     return [rise_times_agree(t, y, z) for y, z in zip(model.T, data.T, strict=True)]
 
 
-def _errors(flight: Scaled, name: str, predicted: FloatArray) -> FloatArray:
-    """Relative error (time,) in % from the onset; at most 1e6, so that a divergence has a mean."""
-    measured = flight.flight.columns[name][flight.flight.onset :]
-    with np.errstate(over="ignore", invalid="ignore"):
-        error = np.abs(predicted - measured) / np.abs(measured)
-    return 100.0 * np.minimum(np.nan_to_num(error, nan=1e4), 1e4)
-
-
 def _times(count: int) -> FloatArray:
     return T_S * np.arange(count, dtype=np.float64)
 
 
 def _grey_fit(law: ResponseKind, y: FloatArray) -> FloatArray:
-    found = fit_response(_times(len(y)), y[:, 0], law).values
+    found = fit_response(_times(len(y)), y[:, 0], law).values  # noqa: PD011 -- no data frame
     return np.log(found) if law != "delayed" else np.array([np.log(found[0]), found[1]])
 
 

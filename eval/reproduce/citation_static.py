@@ -13,11 +13,11 @@ of 5 s. The paper gives the onset as t = 1 s (eqs 1 to 3) and as t = 0: here it 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise, product
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -44,7 +44,9 @@ KINDS: tuple[Kind, ...] = ("step", "impulse", "ramp")
 TRA_PER_TLA = 85.0 / 60.0
 TLA_MOST = 50.0
 T_S = 0.1
-RAMP_S, ONSET_S, DYNAMIC_S = 5.0, 1.0, 30.0
+RAMP_S, ONSET_S = 5.0, 1.0
+TIME_S: FloatArray = T_S * np.arange(300, dtype=np.float64)
+MOVED = int(np.argmax(TIME_S > ONSET_S))  # first sample at which a disturbed lever has moved
 _POINTS = 24  # Mach numbers of a cruise
 _SLOW_KT, _FAST_KT, _MACH_MOST = 200.0, 330.0, 0.85
 DRIVERS = ("TRA_deg", "ALT_ft", "Mach", "dT_C", "ECS")
@@ -84,19 +86,12 @@ REGIONS = (LOW, HIGH)
 
 @dataclass(frozen=True, eq=False)
 class Disturbance:
-    """One flight with a disturbed lever; `columns` (time,) every T_S, disturbed at `onset_s`."""
+    """One flight with a disturbed lever; `columns` (time,) every T_S."""
 
     kind: Kind
     altitude_ft: float
     amplitude_deg: float  # of the TLA
-    time_s: FloatArray
     columns: Mapping[str, FloatArray]
-    onset_s: float = ONSET_S
-
-    @property
-    def onset(self) -> int:
-        """Index of the first sample at which the lever has moved."""
-        return int(np.argmax(self.time_s > self.onset_s))
 
 
 def static_flights(engine: VirtualEngine, region: Region, role: Role) -> dict[str, FloatArray]:
@@ -105,9 +100,8 @@ def static_flights(engine: VirtualEngine, region: Region, role: Role) -> dict[st
     A cruise takes 50 s to change its speed, the engine about one to follow: its samples are taken
     for steady.
     """
-    altitudes, levers = region.nodes(role)
-    found: list[dict[str, FloatArray]] = []
-    for number, (alt_ft, tla) in enumerate(product(altitudes, levers)):
+    found = []
+    for number, (alt_ft, tla) in enumerate(product(*region.nodes(role))):
         mach = np.linspace(*mach_range(region, alt_ft, tla), _POINTS)
         inputs = _inputs(engine, alt_ft, mach, np.full(_POINTS, tla))
         outputs = engine.outputs(np.column_stack(list(inputs.values())))
@@ -123,7 +117,14 @@ def disturbances(
 
     In row-major order of `region.conditions(role)`.
     """
-    return [_disturbance(engine, region, node, kind) for node in product(*region.conditions(role))]
+    found = []
+    for alt_ft, amplitude in product(*region.conditions(role)):
+        mach = np.full_like(TIME_S, mach_range(region, alt_ft, region.least_tla)[1])
+        tla = lever(kind, TIME_S, region.least_tla, amplitude)
+        inputs = _inputs(engine, alt_ft, mach, tla)
+        columns = _columns(inputs, engine.simulate(inputs, T_S))
+        found.append(Disturbance(kind, alt_ft, amplitude, columns))
+    return found
 
 
 def lever(kind: Kind, time_s: FloatArray, start: float, amplitude: float) -> FloatArray:
@@ -153,22 +154,10 @@ def _mach(cas_kt: float, alt_ft: float) -> float:
     return float(np.sqrt(5.0 * ((1.0 + impact / isa(alt_ft)[1]) ** (2.0 / 7.0) - 1.0)))
 
 
-def _disturbance(
-    engine: VirtualEngine, region: Region, node: tuple[float, float], kind: Kind
-) -> Disturbance:
-    alt_ft, amplitude = node
-    time_s: FloatArray = T_S * np.arange(round(DYNAMIC_S / T_S), dtype=np.float64)
-    mach = np.full_like(time_s, mach_range(region, alt_ft, region.least_tla)[1])
-    tla = lever(kind, time_s, region.least_tla, amplitude)
-    inputs = _inputs(engine, alt_ft, mach, tla)
-    columns = _columns(inputs, engine.simulate(inputs, T_S))
-    return Disturbance(kind, alt_ft, amplitude, time_s, columns)
-
-
 def _inputs(
     engine: VirtualEngine, alt_ft: float, mach: FloatArray, tla_deg: FloatArray
 ) -> dict[str, FloatArray]:
-    """Inputs of the engine, in its order; packs on, standard day."""
+    """In the engine's order; packs on, standard day."""
     given = {
         "TRA_deg": TRA_PER_TLA * tla_deg,
         "ALT_ft": np.full_like(mach, alt_ft),
@@ -188,6 +177,7 @@ def _middles(nodes: tuple[float, ...]) -> tuple[float, ...]:
     return tuple(0.5 * (a + b) for a, b in pairwise(nodes))
 
 
+BEST_THRUST = "Cold Thrust + correction (M, FPR)"
 PRESSURES = ("FPR", "EPR", "EGT_C")  # modelled by black boxes alone, as in the paper
 _BUILD = 1  # seed of the flown engine's build; the CLM is the engine as designed
 _AREA_PER_KN = 0.01  # m^2/kN: start value of the cold stream's area
@@ -222,34 +212,44 @@ class Engines:
 
 @dataclass(frozen=True, eq=False)
 class StaticRow:
-    """One model in one region: its fit, and its score on identification and validation flights.
+    """One model in one region: its fit, and its score on validation flights.
 
-    `chained` is the validation score with FPR, EPR, ITT (and thrust) predicted too, as in Fig. 9.
-    `failure` says why a model has no fit.
+    `chained` is the score with FPR, EPR, ITT (and thrust) predicted too, as in Fig. 9. `failure`
+    says why a model has no fit.
     """
 
     region: str
     output: str
     model: str
-    fit: StaticFit | None = None
+    failure: str = ""
     validation: StaticScore | None = None
     chained: StaticScore | None = None
-    failure: str = ""
+    fit: StaticFit | None = None
+
+    def document(self) -> dict[str, Any]:
+        """As JSON."""
+        scores = {name: getattr(self, name) for name in ("validation", "chained")}
+        return {
+            **{name: getattr(self, name) for name in ("region", "output", "model", "failure")},
+            **{name: vars(found) if found else None for name, found in scores.items()},
+            "fit": self.fit.document() if self.fit else None,
+        }
 
 
 @dataclass(frozen=True, eq=False)
 class RegionStudy:
-    """Flights of one region and what was fitted to them."""
+    """What was fitted to the flights of one region.
+
+    `chain` are FPR, EPR, ITT, thrust, fuel, each fed by those before it; `searches` every grey box
+    by every estimator, without drag; `degrees` of the correction as `correction_degrees` has them.
+    """
 
     region: Region
-    identification: Columns
     validation: Columns
     rows: tuple[StaticRow, ...]
-    chain: tuple[StaticFit, ...]  # FPR, EPR, ITT, thrust, fuel: each fed by those before it
-    searches: tuple[StaticRow, ...]  # every grey box by every estimator, without drag
-    degrees: tuple[
-        tuple[int, float, float, float], ...
-    ]  # of the correction, see `correction_degrees`
+    chain: tuple[StaticFit, ...]
+    searches: tuple[StaticRow, ...]
+    degrees: tuple[tuple[int, float, float, float], ...]
 
     def row(self, output: str, model: str) -> StaticRow:
         return next(r for r in self.rows if (r.output, r.model) == (output, model))
@@ -260,10 +260,6 @@ class RegionStudy:
             r for r in self.searches if r.fit and (r.model, r.fit.estimator) == (model, estimator)
         )
         return next(wanted, None)
-
-    def static(self, columns: Columns) -> dict[str, FloatArray]:
-        """Outputs of the whole static model at the drivers of `columns` (Fig. 9)."""
-        return chained(self.chain, columns)
 
 
 def static_study(
@@ -279,24 +275,36 @@ def static_study(
     best = min(degrees, key=lambda row: row[2])[0]
     thrust = with_correction(fit(cold_thrust(engines), known), known, best)
     chain = (*tables, thrust, fit(models.yoder_plus(engines.F0_kN), known))
-    flights = known, new, {**new, **chained(chain, new)}
+    through = {**new, **chained(chain, new)}
+
+    def scored(found: StaticFit, name: str, inputs: Columns = through) -> StaticRow:
+        output = found.model.output
+        validation, through_chain = (score(found.predict(x), new[output]) for x in (new, inputs))
+        return StaticRow(region.name, output, name, "", validation, through_chain, found)
+
+    def attempt(model: StaticModel, settings: FitSettings) -> StaticRow:
+        try:
+            return scored(fit(model, known, settings), model.name)
+        except (DataError, ModelError) as error:
+            return StaticRow(region.name, model.output, model.name, str(error))
+
     grey = [*thrust_models(engines), *fuel_models(engines)]
     rows = [
-        *_black_boxes(region, (known, new), nodes),
-        *(_attempt(region, *laws, flights) for laws in grey),
-        _scored(region, thrust, flights[1:], "Cold Thrust + correction (M, FPR)"),
+        *(scored(fit(box, known), name, new) for name, box in _black_boxes(known, nodes)),
+        *(attempt(*law) for law in grey),
+        scored(thrust, BEST_THRUST),
     ]
     searches = [
-        _attempt(region, model, replace(settings, estimator=name), flights)
+        attempt(model, replace(settings, estimator=name))
         for model, settings in grey
         if "CLM" not in model.name and "drag" not in model.name
         for name in estimators
     ]
-    return RegionStudy(region, known, new, tuple(rows), chain, tuple(searches), tuple(degrees))
+    return RegionStudy(region, new, tuple(rows), chain, tuple(searches), tuple(degrees))
 
 
 def chained(chain: Sequence[StaticFit], columns: Columns) -> dict[str, FloatArray]:
-    """Predict output by output, each from the drivers and the outputs predicted before."""
+    """Predict output by output, each from the drivers and the outputs predicted before (Fig. 9)."""
     known = {name: columns[name] for name in DRIVERS}
     for part in chain:
         known[part.model.output] = part.predict(known)
@@ -311,14 +319,13 @@ def correction_degrees(
     predicted = np.empty((_MOST_DEGREE, len(columns["flight"])))
     for flight in np.unique(columns["flight"]):
         out = columns["flight"] == flight
-        rest = {name: values[~out] for name, values in columns.items()}
-        left = {name: values[out] for name, values in columns.items()}
+        rest, left = ({name: v[rows] for name, v in columns.items()} for rows in (~out, out))
         theory = fit(base, rest)
         for k, degree in enumerate(degrees):
             predicted[k, out] = with_correction(theory, rest, degree).predict(left)
     theory, table = fit(base, columns), []
-    for k, degree in enumerate(degrees):
-        left_out = score(predicted[k], columns[base.output])
+    for degree, values in zip(degrees, predicted, strict=True):
+        left_out = score(values, columns[base.output])
         known = with_correction(theory, columns, degree).score
         table.append((degree, known.mean_pct, left_out.mean_pct, left_out.max_pct))
     return table
@@ -330,6 +337,9 @@ def with_correction(theory: StaticFit, columns: Columns, degree: int) -> StaticF
     return fit_correction(models.corrected(theory.model, term), theory, columns)
 
 
+_EFFICIENCIES = {"eta_j": 0.97, "eta_t": 0.88, "eta_c": 0.85, "eta_i": 0.97}
+
+
 def thrust_models(engines: Engines) -> list[tuple[StaticModel, FitSettings]]:
     """Thrust laws with and without drag, Cold Thrust in its forms, CLM.
 
@@ -337,23 +347,20 @@ def thrust_models(engines: Engines) -> list[tuple[StaticModel, FitSettings]]:
     its gas generator, the true one leaves no fit.
     """
     F0, B, S = engines.F0_kN, engines.bypass_ratio, _AREA_PER_KN * engines.F0_kN
+    usual, free_B = FitSettings(), FitSettings(fixed=_EFFICIENCIES)
+    torenbeek = models.torenbeek(F0, B, density_exponent=True, throttle_degree=2)
     laws = [
-        models.mattingly(F0),
-        models.torenbeek(F0, B, density_exponent=True, throttle_degree=2).with_start("B", 1.0),
-        models.aerospatiale(F0),
-        models.wanner(F0),
-    ]
-    free_B = FitSettings(fixed={"eta_j": 0.97, "eta_t": 0.88, "eta_c": 0.85, "eta_i": 0.97})
-    settings = [FitSettings(), free_B, FitSettings(), FitSettings()]
-    cold = [
+        (models.mattingly(F0), usual), (torenbeek.with_start("B", 1.0), free_B),
+        (models.aerospatiale(F0), usual), (models.wanner(F0), usual),
+    ]  # fmt: skip
+    rest = [
         models.cold_thrust(2.0 * S, variant="paper").renamed("Cold Thrust (paper)"),
         models.cold_thrust(2.0 * S).renamed("Cold Thrust (full)"),
         cold_thrust(engines),
+        models.component_level(engines.designed, "FN_kN", DRIVERS),
     ]
-    drag = [models.with_drag(law, 2, 3.0 * S) for law in laws]
-    clm = models.component_level(engines.designed, "FN_kN", DRIVERS)
-    pairs = [*zip(laws, settings, strict=True), *zip(drag, settings, strict=True)]
-    return [*pairs, *((model, FitSettings()) for model in (*cold, clm))]
+    drag = [(models.with_drag(law, 2, 3.0 * S), settings) for law, settings in laws]
+    return [*laws, *drag, *((model, usual) for model in rest)]
 
 
 def cold_thrust(engines: Engines) -> StaticModel:
@@ -363,59 +370,24 @@ def cold_thrust(engines: Engines) -> StaticModel:
 
 def fuel_models(engines: Engines) -> list[tuple[StaticModel, FitSettings]]:
     """Torenbeek with free scale and bypass ratio, BADA, Yoder, Yoder+, CLM."""
-    F0, B = engines.F0_kN, engines.bypass_ratio
-    torenbeek = models.torenbeek_fuel(B).with_start("k", 0.3).with_start("B", 1.0)
-    free = FitSettings(fixed={"eta_c": 0.85, "eta_j": 0.97, "eta_t": 0.88, "eta_i": 0.97})
+    torenbeek = models.torenbeek_fuel(engines.bypass_ratio).with_start("k", 0.3)
     rest = [
         models.bada3(),
-        models.yoder(F0),
-        models.yoder_plus(F0),
+        models.yoder(engines.F0_kN),
+        models.yoder_plus(engines.F0_kN),
         models.component_level(engines.designed, "FF_kgph", DRIVERS),
     ]
-    return [(torenbeek, free), *((model, FitSettings()) for model in rest)]
+    free = FitSettings(fixed=_EFFICIENCIES)
+    return [(torenbeek.with_start("B", 1.0), free), *((model, FitSettings()) for model in rest)]
 
 
 def _black_boxes(
-    region: Region, flights: tuple[Columns, Columns], nodes: dict[str, Sequence[float]]
-) -> list[StaticRow]:
+    known: Columns, nodes: dict[str, Sequence[float]]
+) -> Iterator[tuple[str, StaticModel]]:
     """Polynomials of degree 1 to 3 in every input, and tables with lines and splines."""
-    known, new = flights
-    rows = []
     for output in (*PRESSURES, "FN_kN", "FF_kgph"):
-        boxes = {
-            f"polynomial {n}": models.polynomial(
-                known, output, {"Mach": n, "ALT_ft": n, "TRA_deg": n}
-            )
-            for n in (1, 2, 3)
-        } | {
-            "linear table": models.spline_table(known, output, nodes, degree=1),
-            "spline table": models.spline_table(known, output, nodes),
-        }
-        rows += [_scored(region, fit(box, known), (new, new), name) for name, box in boxes.items()]
-    return rows
-
-
-def _attempt(
-    region: Region,
-    model: StaticModel,
-    settings: FitSettings,
-    flights: tuple[Columns, Columns, Columns],
-) -> StaticRow:
-    """Row of a grey box, with the reason where it has no fit."""
-    known, new, through = flights
-    try:
-        return _scored(region, fit(model, known, settings), (new, through))
-    except (DataError, ModelError) as error:
-        return StaticRow(region.name, model.output, model.name, failure=str(error))
-
-
-def _scored(
-    region: Region, fitted: StaticFit, flights: tuple[Columns, Columns], name: str = ""
-) -> StaticRow:
-    new, through = flights
-    output = fitted.model.output
-    return StaticRow(
-        region.name, output, name or fitted.model.name, fitted,
-        score(fitted.predict(new), new[output]),
-        score(fitted.predict(through), new[output]),
-    )  # fmt: skip
+        for n in (1, 2, 3):
+            degrees = dict.fromkeys(("Mach", "ALT_ft", "TRA_deg"), n)
+            yield f"polynomial {n}", models.polynomial(known, output, degrees)
+        yield "linear table", models.spline_table(known, output, nodes, degree=1)
+        yield "spline table", models.spline_table(known, output, nodes)

@@ -7,19 +7,17 @@ compares them with a simulator, and an error of 1 % says nothing about an engine
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict
 from functools import partial
 from itertools import product
-from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from eval.report.tables import Table
 from eval.reproduce.citation_dynamic import (
     FIGURES,
     GROUPS,
     STATIC,
-    DynamicRow,
     DynamicStudy,
     Scaled,
     dynamic_pictures,
@@ -27,6 +25,7 @@ from eval.reproduce.citation_dynamic import (
     merged,
 )
 from eval.reproduce.citation_static import (
+    BEST_THRUST,
     KINDS,
     OUTPUTS,
     PRESSURES,
@@ -36,7 +35,6 @@ from eval.reproduce.citation_static import (
     Kind,
     Region,
     RegionStudy,
-    StaticRow,
     static_study,
 )
 from eval.reproduce.study import CLAIMS, Claim, Study, claim, table_of
@@ -47,7 +45,6 @@ from narxcal.support.progress import Progress, silent
 from training.papers.transfer_fit import rise_times
 from training.steady.static_fit import SEARCHES, Estimator
 
-BEST_THRUST = "Cold Thrust + correction (M, FPR)"
 _THRUST = ("Mattingly", "Torenbeek", "Aerospatiale", "Wanner")
 _FUEL = ("Torenbeek fuel", "BADA 3", "Yoder")
 _BOX = "polynomial 2"  # the black box that thrust and fuel are compared with
@@ -56,6 +53,7 @@ _ONE, _WIDE = "1/O O/3", "5/O O/5 (C = I)"
 CONTRADICTIONS: tuple[str, ...] = tuple(CLAIMS["contradictions"]["citation-x"])
 _claim = partial(claim, "citation-x")
 Tables = Mapping[tuple[str, str], FloatArray]
+ByModel = Mapping[tuple[str, str], pd.DataFrame]  # (kind, model) -> rows by output
 
 
 def static_claims(engines: Engines, low: RegionStudy, high: RegionStudy) -> list[Claim]:
@@ -68,15 +66,19 @@ def static_claims(engines: Engines, low: RegionStudy, high: RegionStudy) -> list
 
 
 def dynamic_claims(
-    rows: Sequence[DynamicRow], steps: Sequence[Scaled], tables: Sequence[Tables]
+    rows: pd.DataFrame, steps: Sequence[Scaled], tables: Sequence[Tables]
 ) -> list[Claim]:
     """C9 to C13 and C15; `rows` pooled over the regions, `steps` the identification flights."""
-    kinds = [kind for kind in KINDS if any(row.kind == kind for row in rows)]
-    found = [*_starts(steps), *_steps(rows), *_orders(rows, tables)]
+    kinds = rows["kind"].unique()
+    table = {
+        (str(kind), str(model)): own.set_index("output")
+        for (kind, model), own in rows.groupby(["kind", "model"])
+    }
+    found = [*_starts(steps), *_steps(rows, table), *_orders(table, tables)]
     if len(kinds) == len(KINDS):
-        found += [*_impulses_and_ramps(rows)]
+        found += [*_impulses_and_ramps(table)]
     for kind in kinds:
-        ratio = _all(rows, kind, _FIRST) / _all(rows, kind, STATIC)
+        ratio = _all(table, kind, _FIRST) / _all(table, kind, STATIC)
         found.append(_claim("C15", float(ratio.max()), kind=kind))
     return found
 
@@ -130,34 +132,33 @@ def _starts(steps: Sequence[Scaled]) -> Iterator[Claim]:
     yield _claim("C9_fuel", float(np.median([s.scales["FF_kgph"].end for s in steps])))
 
 
-def _steps(rows: Sequence[DynamicRow]) -> Iterator[Claim]:
+def _steps(rows: pd.DataFrame, table: ByModel) -> Iterator[Claim]:
     grey = (_FIRST, _DELAYED, _SECOND)
-    least = min(r.identified_pct for r in rows if r.kind == "step" and r.model in grey)
-    yield _claim("C10_known", least)
-    best = np.argmin([_all(rows, "step", m) for m in grey], axis=0)
+    own = rows[(rows["kind"] == "step") & rows["model"].isin(grey)]
+    yield _claim("C10_known", own["identified_pct"].min())
+    best = np.argmin([_all(table, "step", m) for m in grey], axis=0)
     yield _claim("C10_delayed", float(np.sum(best[:-1] == 1)))
-    success = {m: _all(rows, "step", m, "success_pct").mean() for m in (*grey, _ONE)}
+    success = {m: _all(table, "step", m, "success_pct").mean() for m in (*grey, _ONE)}
     yield _claim("C10_first", success[_FIRST] - success[_DELAYED])
     yield _claim("C10_box", success[_ONE] - max(success[m] for m in grey))
 
 
-def _impulses_and_ramps(rows: Sequence[DynamicRow]) -> Iterator[Claim]:
-    first, second, many, three = (_all(rows, "impulse", m) for m in (_FIRST, _SECOND, _WIDE, _ONE))
+def _impulses_and_ramps(table: ByModel) -> Iterator[Claim]:
+    first, second, many, three = (_all(table, "impulse", m) for m in (_FIRST, _SECOND, _WIDE, _ONE))
     yield _claim("C11_second", first.mean() / second.mean())
     yield _claim("C11_box", first.mean() / three.mean())
-    others = {kind: _all(rows, kind, _WIDE).max() for kind in ("step", "ramp")}
+    others = {kind: _all(table, kind, _WIDE).max() for kind in ("step", "ramp")}
     yield _claim("C11_most", float(many.max()), **others)
-    ramp, step = _all(rows, "ramp", _DELAYED), _all(rows, "step", _DELAYED)
+    ramp, step = _all(table, "ramp", _DELAYED), _all(table, "step", _DELAYED)
     yield _claim("C12_ramp", ramp.mean() / step.mean())
-    ratios = ramp / _all(rows, "ramp", _SECOND)
+    ratios = ramp / _all(table, "ramp", _SECOND)
     yield _claim("C12_second", float(ratios[:-1].mean()))
     yield _claim("C12_fuel", float(ratios[-1]))
-    worst = max(row.worst_pct for row in rows if row.kind == "ramp" and row.model == STATIC)
-    yield _claim("C12_static", worst)
+    yield _claim("C12_static", _all(table, "ramp", STATIC, "worst_pct").max())
 
 
-def _orders(rows: Sequence[DynamicRow], tables: Sequence[Tables]) -> Iterator[Claim]:
-    one, modal, free = (_all(rows, "step", m).mean() for m in (_FIRST, "5/O O/5", _WIDE))
+def _orders(table: ByModel, tables: Sequence[Tables]) -> Iterator[Claim]:
+    one, modal, free = (_all(table, "step", m).mean() for m in (_FIRST, "5/O O/5", _WIDE))
     yield _claim("C13_free", one / free)
     yield _claim("C13_modal", one / modal, one=one, modal=modal, free=free)
     pair = (_WIDE, "+".join(OUTPUTS)), ("1/O O/4 (canonical)", "FN_kN")
@@ -196,10 +197,9 @@ def _search(study: RegionStudy, model: str, estimator: str) -> float:
     return np.nan if row is None or row.validation is None else row.validation.mean_pct
 
 
-def _all(rows: Sequence[DynamicRow], kind: str, model: str, value: str = "mean_pct") -> FloatArray:
+def _all(table: ByModel, kind: str, model: str, value: str = "mean_pct") -> FloatArray:
     """Figure of one model for every output, in the order of OUTPUTS."""
-    own = {row.output: row for row in rows if (row.kind, row.model) == (kind, model)}
-    return np.array([getattr(own[name], value) for name in OUTPUTS])
+    return table[kind, model].loc[list(OUTPUTS), value].to_numpy()
 
 
 def _latest(steps: Sequence[Scaled], name: str, time: Callable[[FloatArray], float]) -> float:
@@ -262,17 +262,16 @@ def _static(engines: Engines, studies: Sequence[RegionStudy]) -> Study:
             *(_scores(study, ("FN_kN", "FF_kgph"), "Tables 11 to 13") for study in studies),
         ],
         results={
-            "rows": [_row(row) for row in rows],
-            "searches": [_row(row) for study in studies for row in study.searches],
+            "rows": [row.document() for row in rows],
+            "searches": [row.document() for study in studies for row in study.searches],
             "correction_degrees": {s.region.name: [list(d) for d in s.degrees] for s in studies},
         },
     )
 
 
 def _dynamic(regions: Sequence[DynamicStudy]) -> Study:
-    rows = merged([row for region in regions for row in region.rows])
+    rows = merged(pd.concat([region.rows for region in regions]))
     steps = [flight for region in regions for flight in region.steps]
-    kinds = [kind for kind in KINDS if any(row.kind == kind for row in rows)]
     return Study(
         key="dynamic",
         title="Dynamic models",
@@ -282,10 +281,17 @@ def _dynamic(regions: Sequence[DynamicStudy]) -> Study:
         "models are interpolated in modal form unless their name says otherwise; where the free "
         "run diverges, an error counts as 1e6 %.",
         claims=dynamic_claims(rows, steps, [region.tables for region in regions]),
-        tables=[*(_responses(rows, kind) for kind in kinds), _combinations(rows, kinds)],
-        pictures=dynamic_pictures(rows, regions),
-        results={"rows": [asdict(row) for row in rows]},
+        tables=[*(_responses(own, kind) for kind, own in _by_kind(rows)), _combinations(rows)],
+        pictures=dynamic_pictures(regions[-1]),
+        results={"rows": rows.to_dict("records")},
     )
+
+
+def _by_kind(rows: pd.DataFrame) -> Iterator[tuple[Kind, pd.DataFrame]]:
+    for kind in KINDS:
+        own = rows[rows["kind"] == kind]
+        if len(own):
+            yield kind, own
 
 
 def _parameters(studies: Sequence[RegionStudy]) -> Table:
@@ -295,7 +301,7 @@ def _parameters(studies: Sequence[RegionStudy]) -> Table:
         found = [study.search(model, name) for name in ("levenberg-marquardt", "swarm")]
         fits = [row.fit for row in found if row and row.fit]
         for k, p in enumerate(fits[0].model.parameters if fits else ()):
-            values = fits[0].values[k], fits[0].sd[k], fits[-1].values[k]
+            values = (one[k] for one in (fits[0].values, fits[0].sd, fits[-1].values))  # noqa: PD011 -- no data frame
             rows.append((f"{study.region.name}: {model} {p.name} [{p.unit}]", *values))
     head = ("parameter", "Levenberg-Marquardt", "sd", "swarm")
     return table_of("Tables 5 and 6: parameter values", head, rows)
@@ -331,46 +337,28 @@ def _scores(study: RegionStudy, outputs: Sequence[str], which: str) -> Table:
     return table_of(f"{which}: mean relative errors, {study.region.name} altitudes", head, rows)
 
 
-def _responses(rows: Sequence[DynamicRow], kind: Kind) -> Table:
+def _responses(rows: pd.DataFrame, kind: Kind) -> Table:
     """Success and mean error of every model and output, figures 16 to 21."""
-    own = {(row.model, row.output): row for row in rows if row.kind == kind}
     head = ("model", *(f"{name} success [%]" for name in OUTPUTS),
             *(f"{name} error [%]" for name in OUTPUTS))  # fmt: skip
-    lines = [
-        (
-            model,
-            *(own[model, name].success_pct for name in OUTPUTS),
-            *(own[model, name].mean_pct for name in OUTPUTS),
-        )
-        for model in dict.fromkeys(model for model, _ in own)
-    ]
+    columns = [(value, name) for value in ("success_pct", "mean_pct") for name in OUTPUTS]
+    wide = rows.pivot_table(
+        ["success_pct", "mean_pct"], "model", "output", sort=False, dropna=False
+    )
+    lines = [(model, *wide.loc[model, columns]) for model in rows["model"].unique()]
     first, second = FIGURES[kind]
     return table_of(f"Figures {first} and {second}: responses to a {kind}", head, lines)
 
 
-def _combinations(rows: Sequence[DynamicRow], kinds: Sequence[Kind]) -> Table:
+def _combinations(rows: pd.DataFrame) -> Table:
     """Table 14: how outputs are best joined for an order, by success over all outputs."""
     lines: list[tuple[str | float, ...]] = []
-    for kind, order in product(kinds, (2, 3)):
-        mean = {
-            group: sum(row.success_pct for row in own) / len(own)
-            for group in GROUPS
-            if (own := [r for r in rows if r.kind == kind and r.model == f"{group} O/{order}"])
-        }
-        best = max(mean, key=lambda group: mean[group])
-        joined = "; ".join(" + ".join(part) for part in GROUPS[best])
-        lines.append((kind, f"O/{order}", joined, mean[best]))
+    for kind, own in _by_kind(rows):
+        mean = own.groupby("model")["success_pct"].mean()
+        for order in (2, 3):
+            known = [group for group in GROUPS if f"{group} O/{order}" in mean]
+            best = max(known, key=lambda group: mean[f"{group} O/{order}"])
+            joined = "; ".join(" + ".join(part) for part in GROUPS[best])
+            lines.append((kind, f"O/{order}", joined, mean[f"{best} O/{order}"]))
     head = ("response", "order", "best combination of outputs", "success [%]")
     return table_of("Table 14: combinations of outputs", head, lines)
-
-
-def _row(row: StaticRow) -> dict[str, Any]:
-    scores = {"validation": row.validation, "chained": row.chained}
-    return {
-        "region": row.region,
-        "output": row.output,
-        "model": row.model,
-        "failure": row.failure,
-        **{name: vars(found) if found else None for name, found in scores.items()},
-        "fit": row.fit.document() if row.fit else None,
-    }

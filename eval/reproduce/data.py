@@ -22,7 +22,7 @@ from data_prep.log import Log
 from data_prep.prepare import hold_inputs, prepare
 from data_prep.reading import read_logs
 from eval.preparation import LogReport, examine
-from narxcal.export import ExportOptions, ExportReport, export_table
+from narxcal.export import ExportOptions, export_table
 from narxcal.export.grid import Grid
 from narxcal.flight_test.fly import WriteOptions, load_scenario, write_flights
 from narxcal.flight_test.scenario import FlightScenario
@@ -51,10 +51,8 @@ def pieces(log: Log, config: EventsConfig) -> list[Segment]:
     found, last = [], 0
     lead = round(LEAD_S / log.dt_s)
     for event in find_events(log, config.model_copy(update={"condition": ""})):
-        start = max(last, event.start - lead)
-        part = replace(log.part(start, event.stop), name=f"{log.name}[{start}:{event.stop}]")
-        own = replace(event, log=part.name, start=event.start - start, stop=event.stop - start)
-        found.append(Segment(part, 0, len(part), (own,)))
+        piece = Segment(log, max(last, event.start - lead), event.stop, (event,))
+        found.append(Segment(piece.log, 0, len(piece.log), piece.own_events))
         last = event.stop
     return found
 
@@ -62,11 +60,6 @@ def pieces(log: Log, config: EventsConfig) -> list[Segment]:
 def cut(logs: Sequence[Log], config: EventsConfig) -> tuple[Log, ...]:
     """Pieces of all logs as logs of their own; a log without events stays whole."""
     return tuple(part for log in logs for part in [one.log for one in pieces(log, config)] or [log])
-
-
-def trained_on_pieces(split: Split, config: EventsConfig) -> Split:
-    """The split with its training logs cut into pieces."""
-    return replace(split, train=cut(split.train, config))
 
 
 FEWEST = 3
@@ -119,19 +112,21 @@ class DataSets:
     @cached_property
     def training(self) -> Split:
         """`split` with its training logs cut into the segments round their events."""
-        return trained_on_pieces(self.split, self.config.events)
+        return replace(self.split, train=cut(self.split.train, self.config.events))
 
     @property
     def tests(self) -> tuple[Log, ...]:
         """Test logs as `evaluate` takes them: masked inputs still NaN."""
-        names = {log.name for log in self.split.test}
-        return tuple(log for log in self.logs if log.name in names)
+        return self._tests(self.logs, self.split)
 
     @property
     def further_tests(self) -> tuple[Log, ...]:
         """The test logs among the further records."""
-        names = {log.name for log in self.whole_split.test}
-        return tuple(log for log in self.further if log.name in names)
+        return self._tests(self.further, self.whole_split)
+
+    def _tests(self, logs: Sequence[Log], split: Split) -> tuple[Log, ...]:
+        names = {log.name for log in split.test}
+        return tuple(log for log in logs if log.name in names)
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -204,7 +199,7 @@ def _family(config: RunConfig, folder: Path) -> list[Log]:
     """Prepared logs of one family of further records; none where there is no such folder."""
     if not folder.is_dir():
         return []
-    files = sorted(configured_files(as_config(config, folder), folder), key=counted)
+    files = sorted(configured_files(config.with_logs_in(folder), folder), key=counted)
     found = prepare(read_logs(files, config.logs), config)
     return [replace(one.log, name=f"{folder.name}/{one.log.name}") for one in found]
 
@@ -227,12 +222,6 @@ def truth_of(data: DataSets, log: Log, channel: str) -> FloatArray | None:
     """Noise-free values `(time,)` on the sampling grid of `log`, None where they are not known."""
     known = data.truth.get(log.name)
     return known[channel] if known is not None and channel in known.channels else None
-
-
-def as_config(config: RunConfig, folder: Path) -> RunConfig:
-    """`config` with the logs taken from `folder`."""
-    logs = config.logs.model_copy(update={"folder": str(folder.resolve())})
-    return config.model_copy(update={"logs": logs})
 
 
 def _held(logs: Sequence[Log], config: RunConfig) -> list[Log]:
@@ -301,11 +290,11 @@ def write_records(folder: Path, scenario: FlightScenario, jobs: int = 1) -> None
         write_flights(folder / name, FlightScenario.parse(table, name), WriteOptions(jobs))
 
 
-def flown(config: RunConfig, base: Path, folder: Path) -> tuple[RunConfig, ExportReport]:
+def flown(config: RunConfig, base: Path, folder: Path) -> RunConfig:
     """The configuration with the logs of `folder` and the steady-state model as a table there.
 
-    Solving the gas path for every sample of every log would take longer than all the studies;
-    the report says how far the table is off. Raises `ConfigError` for an input that the flights
+    Solving the gas path for every sample of every log would take longer than all the studies.
+    Raises `ConfigError` for an input that the flights
     do not have, and as `open_steady`.
     """
     section, outputs = config.steady_state, config.narx.outputs
@@ -314,17 +303,15 @@ def flown(config: RunConfig, base: Path, folder: Path) -> tuple[RunConfig, Expor
     )
     grid = Grid({name: _nodes(name) for name in section.inputs})
     options = ExportOptions(max_rows=_ROWS, tolerance_pct=0.1, source=section.source)
-    report = export_table(model, grid, folder / TABLE, options)
-    return with_table(as_config(config, folder), folder), report
+    export_table(model, grid, folder / TABLE, options)
+    return with_table(config.with_logs_in(folder), folder)
 
 
 def with_table(config: RunConfig, folder: Path) -> RunConfig:
     """The configuration with the steady-state model that `flown` wrote into `folder`."""
     varying = tuple(name for name in config.steady_state.inputs if len(_nodes(name)) > 1)
     source = str((folder / TABLE).resolve())
-    table = {"kind": "table", "source": source, "inputs": varying}
-    section = config.steady_state.model_copy(update=table)
-    return config.model_copy(update={"steady_state": section})
+    return config.having(steady_state={"kind": "table", "source": source, "inputs": varying})
 
 
 def _nodes(name: str) -> tuple[float, ...]:
@@ -362,9 +349,7 @@ def within(config: RunConfig, effort: Effort) -> RunConfig:
     if not effort.iterations:
         return config
     count = len(config.train.horizons_s)
-    iterations = (effort.iterations * count)[:count]
-    train = config.train.model_copy(update={"iterations": iterations})
-    return config.model_copy(update={"train": train})
+    return config.having(train={"iterations": (effort.iterations * count)[:count]})
 
 
 def fit_all(tasks: Sequence[NetworkFit], config: RunConfig, jobs: int) -> list[NarxModel]:
@@ -411,9 +396,7 @@ def phase_of(log: Log, event: Event, driver: str) -> str:
 
 
 def _at(log: Log, name: str, row: int) -> float:
-    if name not in log.channels or not np.isfinite(log[name][row]):
-        return 0.0
-    return float(log[name][row])
+    return float(np.nan_to_num(log[name][row])) if name in log.channels else 0.0
 
 
 def _vertical_ftpm(log: Log, row: int) -> float:
@@ -421,10 +404,9 @@ def _vertical_ftpm(log: Log, row: int) -> float:
     if "ALT_ft" not in log.channels:
         return 0.0
     half = max(1, round(0.5 * _AVERAGED_S / log.dt_s))
-    rows = slice(max(0, row - half), row + half + 1)
-    altitude: FloatArray = log["ALT_ft"][rows]
+    altitude: FloatArray = log["ALT_ft"][max(0, row - half) : row + half + 1]
     known = np.flatnonzero(np.isfinite(altitude))
     if len(known) < 2:
         return 0.0
-    span_s = float(known[-1] - known[0]) * log.dt_s
-    return 60.0 * float(altitude[known[-1]] - altitude[known[0]]) / span_s
+    climbed_ft = float(altitude[known[-1]] - altitude[known[0]])
+    return 60.0 * climbed_ft / (float(known[-1] - known[0]) * log.dt_s)

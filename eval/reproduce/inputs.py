@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -34,7 +33,7 @@ from narxcal.steady.model import SteadyStateModel
 from narxcal.support.arrays import FloatArray
 from training.config import RunConfig
 from training.pipeline import calibration_for
-from training.records import deviation_record
+from training.records import deviation_record, structure_of
 
 CRITERION = 5.0  # mean square error in %^2, section 3.1
 
@@ -72,7 +71,9 @@ def inputs(data: DataSets, effort: Effort) -> Study:
     """Fit the four networks straight from the inputs to the speed, and run them free."""
     output = data.config.narx.outputs[0]
     found = variants(data, effort, output)
-    best = min(found, key=lambda one: one.pooled)
+    last, best = found[-1], min(found, key=lambda one: one.pooled)
+    remark = "" if best is last else f"the best is: {best.name}"
+    name, tests = symbol(output), [str(data.number(log.name)) for log in data.split.test]
     return Study(
         key="inputs",
         title="One or many data sets, one or many inputs",
@@ -80,67 +81,60 @@ def inputs(data: DataSets, effort: Effort) -> Study:
         text=f"A plain NARX network from the inputs to {symbol(output)}, without a steady-state "
         "model; free run over whole test data sets, started from their first measured samples. "
         f"Test: data sets {data.labels(data.split.test)}.",
-        claims=_claims(found, best, output),
+        claims=[
+            claim("narx-paper", "mse", last.pooled, name=name, unit=unit(output)),
+            claim("narx-paper", "best", last.pooled / best.pooled, name=name, remark=remark),
+        ],
         tables=[_table(data, found, output)],
-        pictures=_pictures(data, found, output),
-        results={"output": output, "variants": [_row(data, one) for one in found]},
+        pictures=[_picture(data.split.test[0], found, output)],
+        results={
+            "output": output,
+            "variants": [
+                {
+                    "variant": one.name,
+                    "inputs": list(one.fed),
+                    "trained_on": [data.number(log.name) for log in one.trained_on],
+                    "mse": dict(zip(tests, one.mse, strict=True)),
+                    "pooled_mse": one.pooled,
+                }
+                for one in found
+            ],
+        },
     )
 
 
 def variants(data: DataSets, effort: Effort, output: str) -> list[Variant]:
     """Single-single, single-multiple, multiple-single and multiple-multiple, in this order."""
     train, config = data.split.train, within(data.config, effort)
-    names, events = data.inputs, data.config.events
+    names, events, dt_s = data.inputs, data.config.events, train[0].dt_s
     plans = [
         (f"{many} data, {several} input", logs, chosen)
         for many, logs in (("single", train[:1]), ("multiple", train))
         for several, chosen in (("single", names[:1]), ("multiple", names))
     ]
     structure = NarxConfig(lags=2, taps=(0, 1), hidden=config.narx.hidden)
-    dt_s = train[0].dt_s
     tasks = [
-        NetworkFit([record(log, chosen, output) for log in cut(logs, events)], structure, dt_s)
-        for _, logs, chosen in plans
+        NetworkFit(
+            [Record(log.matrix(fed), log.matrix([output]), log.name) for log in cut(logs, events)],
+            structure,
+            dt_s,
+        )
+        for _, logs, fed in plans
     ]
-    models = fit_all(tasks, config, effort.jobs)
-    return [
-        _judged(data.split.test, model, plan, output)
-        for model, plan in zip(models, plans, strict=True)
-    ]
-
-
-def record(log: Log, names: Sequence[str], output: str) -> Record:
-    """Training record of a plain network; `log` has its masked inputs filled."""
-    return Record(log.matrix(names), log.matrix([output]), log.name)
-
-
-def _judged(
-    tests: Sequence[Log],
-    model: NarxModel,
-    plan: tuple[str, tuple[Log, ...], tuple[str, ...]],
-    output: str,
-) -> Variant:
-    name, logs, chosen = plan
-    runs = [
-        model.simulate(log.matrix(chosen), _start(log[output], model.config.lags))[:, 0]
-        for log in tests
-    ]
-    return replace(Variant.of(name, chosen, output, tests, runs), trained_on=logs)
+    tests, found = data.split.test, []
+    for model, (name, logs, fed) in zip(fit_all(tasks, config, effort.jobs), plans, strict=True):
+        runs = [
+            model.simulate(log.matrix(fed), _start(log[output], structure.lags))[:, 0]
+            for log in tests
+        ]
+        found.append(replace(Variant.of(name, fed, output, tests, runs), trained_on=logs))
+    return found
 
 
 def _start(measured: FloatArray, lags: int) -> FloatArray:
     """The first samples (lags, 1), a masked one replaced by the first known."""
     first = measured[np.isfinite(measured)][:1]
     return np.where(np.isfinite(measured[:lags]), measured[:lags], first)[:, None]
-
-
-def _claims(found: Sequence[Variant], best: Variant, output: str) -> list[Claim]:
-    last, name = found[-1], symbol(output)
-    remark = "" if best is last else f"the best is: {best.name}"
-    return [
-        claim("narx-paper", "mse", last.pooled, name=name, unit=unit(output)),
-        claim("narx-paper", "best", last.pooled / best.pooled, name=name, remark=remark),
-    ]
 
 
 def _table(data: DataSets, found: Sequence[Variant], output: str) -> Table:
@@ -159,27 +153,9 @@ def _table(data: DataSets, found: Sequence[Variant], output: str) -> Table:
     return table_of(caption, ("variant", "inputs", "trained on", *tests, "all"), rows)
 
 
-def _pictures(data: DataSets, found: Sequence[Variant], output: str) -> list[Picture]:
-    labels = [data.label(log.name) for log in data.split.test]
-    groups = {one.name: np.array(one.mse) for one in found}
-    what = f"MSE of {symbol(output)} [({unit(output)})²]"
-    log = data.split.test[0]
+def _picture(log: Log, found: Sequence[Variant], output: str) -> Picture:
     shown = {one.name: one.runs[0] for one in found}
-    return [
-        figures.bars(labels, groups, what, CRITERION),
-        figures.free_runs(log.time_s, output, log[output], shown),
-    ]
-
-
-def _row(data: DataSets, one: Variant) -> dict[str, Any]:
-    tests = [data.number(log.name) for log in data.split.test]
-    return {
-        "variant": one.name,
-        "inputs": list(one.fed),
-        "trained_on": [data.number(log.name) for log in one.trained_on],
-        "mse": {str(number): value for number, value in zip(tests, one.mse, strict=True)},
-        "pooled_mse": one.pooled,
-    }
+    return figures.free_runs(log.time_s, output, log[output], shown)
 
 
 LIMIT_PCT = 5.0
@@ -199,22 +175,24 @@ def deviations(data: DataSets, bundle: Bundle, effort: Effort) -> Study:
         "measured ones of the sample before, except in the last variant, which simulates them and "
         "has lags in front of its network where [narx] lag says so.",
         claims=[
-            claim(
-                "narx-paper",
-                "deviation",
-                one.max_rel_pct,
-                name=symbol(output),
-                variant=one.name,
-                remark=remark,
-            )
-            for one, remark in (
-                (paper, "measured deviations help: in use there are none"),
-                (ours, "nothing measured but the first sample"),
-            )
+            _claim(paper, output, "measured deviations help: in use there are none"),
+            _claim(ours, output, "nothing measured but the first sample"),
         ],
         tables=[_deviation_table(found, output)],
-        results={"output": output, "variants": [_deviation_row(one) for one in found]},
-    )
+        results={
+            "output": output,
+            "variants": [
+                {"variant": one.name, "measured": list(one.fed), "max_rel_pct": one.max_rel_pct,
+                 "rmse": one.pooled**0.5}
+                for one in found
+            ],
+        },
+    )  # fmt: skip
+
+
+def _claim(one: Variant, output: str, remark: str) -> Claim:
+    fills = {"name": symbol(output), "variant": one.name, "remark": remark}
+    return claim("narx-paper", "deviation", one.max_rel_pct, **fills)
 
 
 def fed_variants(data: DataSets, bundle: Bundle, effort: Effort) -> list[Variant]:
@@ -224,10 +202,12 @@ def fed_variants(data: DataSets, bundle: Bundle, effort: Effort) -> list[Variant
     others = outputs[1:]
     plans = list(dict.fromkeys([(), others[-1:], others]))
     tests = data.split.test
+    # The network alone, without lags in front of it or a path round it.
+    plain = structure_of(config).model_copy(update={"linear_feedback": False})
     tasks = [
         NetworkFit(
             [fed_record(log, steady, config, plan) for log in data.training.train],
-            _structure(config, moving=len(outputs) + len(plan)),
+            plain.model_copy(update={"moving": len(outputs) + len(plan)}),
             bundle.calibration.dt_s,
         )
         for plan in plans
@@ -235,25 +215,17 @@ def fed_variants(data: DataSets, bundle: Bundle, effort: Effort) -> list[Variant
     models = fit_all(tasks, config, effort.jobs)
     fed = [
         Variant.of(
-            _name(outputs, plan), plan, outputs[0], tests,
-            _runs(tests, steady, config, (model, plan)),
+            f"{_deltas((outputs[0], *plan))} → {_deltas(outputs[:1])}", plan, outputs[0], tests,
+            _runs(model, plan, steady, data),
         )
         for model, plan in zip(models, plans, strict=True)
     ]  # fmt: skip
-    own = Variant.of(_own_name(outputs), (), outputs[0], tests, _own_runs(tests, bundle))
-    return [*fed, own]
+    own = f"{_deltas(outputs)} → all of them, simulated"
+    return [*fed, Variant.of(own, (), outputs[0], tests, _own_runs(tests, bundle))]
 
 
-def _structure(config: RunConfig, moving: int) -> NarxConfig:
-    """The network of `config` alone, without lags in front of it or a path round it."""
-    section = config.narx
-    return NarxConfig(
-        lags=section.lags,
-        taps=section.taps,
-        hidden=section.hidden,
-        margin=section.margin,
-        moving=moving,
-    )
+def _deltas(names: Sequence[str]) -> str:
+    return ", ".join(f"Δ{symbol(name)}" for name in names)
 
 
 def fed_record(
@@ -270,17 +242,14 @@ def fed_record(
 
 
 def _runs(
-    tests: Sequence[Log],
+    model: NarxModel,
+    measured: Sequence[str],
     steady: SteadyStateModel,
-    config: RunConfig,
-    fitted: tuple[NarxModel, Sequence[str]],
+    data: DataSets,
 ) -> list[FloatArray]:
-    model, measured = fitted
-    plain = config.model_copy(
-        update={"train": config.train.model_copy(update={"local_trim": False})}
-    )
+    plain = data.config.having(train={"local_trim": False})
     runs = []
-    for log in tests:
+    for log in data.split.test:
         own = steady_for_engine(steady, log.source.engine)
         record = fed_record(log, steady, plain, measured)
         deviation = model.simulate(record.u, np.nan_to_num(record.y[:1]))
@@ -297,16 +266,6 @@ def _own_runs(tests: Sequence[Log], bundle: Bundle) -> list[FloatArray]:
     return runs
 
 
-def _name(outputs: Sequence[str], measured: Sequence[str]) -> str:
-    fed = ", ".join(f"Δ{symbol(name)}" for name in (outputs[0], *measured))
-    return f"{fed} → Δ{symbol(outputs[0])}"
-
-
-def _own_name(outputs: Sequence[str]) -> str:
-    every = ", ".join(f"Δ{symbol(name)}" for name in outputs)
-    return f"{every} → all of them, simulated"
-
-
 def _deviation_table(found: Sequence[Variant], output: str) -> Table:
     rows = [
         (
@@ -319,12 +278,3 @@ def _deviation_table(found: Sequence[Variant], output: str) -> Table:
     ]
     head = ("variant", "fed as measured", "max relative error [%]", "RMSE")
     return table_of(f"{symbol(output)} in free run over the test data sets", head, rows)
-
-
-def _deviation_row(one: Variant) -> dict[str, Any]:
-    return {
-        "variant": one.name,
-        "measured": list(one.fed),
-        "max_rel_pct": one.max_rel_pct,
-        "rmse": one.pooled**0.5,
-    }

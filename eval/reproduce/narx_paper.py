@@ -15,7 +15,6 @@ from typing import Any
 from data_prep.log import Log
 from eval.judging.log_evaluation import LogEvaluation
 from eval.judging.outcome import Outcome
-from eval.judging.scores import score
 from eval.reproduce.data import FAMILIES, DataSets, Effort, cut, within
 from eval.reproduce.inputs import deviations, inputs
 from eval.reproduce.noise import noise
@@ -34,8 +33,9 @@ from eval.reproduce.response import (
     response_times,
     splits,
     times_table,
+    worst_pct,
 )
-from eval.reproduce.study import Claim, Study, claim, missed, or_nan, outcome_of
+from eval.reproduce.study import Study, claim, missed, or_nan, outcome_of
 from narxcal.calibration.bundle import Bundle
 from narxcal.support.files import versions
 from narxcal.support.progress import Progress, silent
@@ -65,8 +65,7 @@ def goal_config(config: RunConfig) -> RunConfig:
     """
     spools = {"N1_pct", "N2_pct"} <= set(config.narx.outputs)
     form = {"lag_governed": True, "linear_feedback": True} if spools else {"lag_limits": True}
-    narx = config.narx.model_copy(update=form if config.narx.lag else {})
-    return config.model_copy(update={"narx": narx, "train": config.train.model_copy(update=_TRAIN)})
+    return config.having(narx=form if config.narx.lag else {}, train=_TRAIN)
 
 
 def goal_training(data: DataSets) -> Split:
@@ -91,7 +90,7 @@ def goal(data: DataSets, bundle: Bundle) -> Study:
     tests = [thinned(log, step) for log in tests]
     found = judged(bundle, tests)
     events = classed(data.config.events.driver, found)
-    pooled = {name: one.max_rel_pct for name, one in score([one.run for one in found]).items()}
+    pooled = worst_pct(found)
     classes = class_rows(events)
     rows = _families(found, events)
     every = figures_of(assessments_of(events))
@@ -105,7 +104,10 @@ def goal(data: DataSets, bundle: Bundle) -> Study:
         claims=[
             *error_claims(pooled, classes, "goal_largest"),
             passed_claim(every, "goal_passed"),
-            *_times(every),
+            *(
+                claim("narx-paper", "goal_time", or_nan(every[f"mean_{name}_pct"]), name=name)
+                for name in ("Ti", "Tt")
+            ),
         ],
         tables=[times_table(rows), class_table(pooled, classes, ERROR_PCT)],
         results={"families": rows, "max_rel_pct": pooled, "classes": classes, "all": every},
@@ -122,8 +124,7 @@ def _families(found: Sequence[LogEvaluation], events: Sequence[Classed]) -> list
     for family in dict.fromkeys(family_of(one.log.name) for one in found):
         own = [one for one in events if family_of(one.log.log.name) == family]
         times = figures_of(assessments_of(own))
-        runs = [one.run for one in found if family_of(one.log.name) == family]
-        worst = {name: one.max_rel_pct for name, one in score(runs).items()}
+        worst = worst_pct([one for one in found if family_of(one.log.name) == family])
         rows.append({"group": family, **times, "max_rel_pct": worst})
     return rows
 
@@ -135,13 +136,6 @@ def _tested(data: DataSets, tests: Sequence[Log]) -> str:
             count = sum(family_of(log.name) == family for log in tests)
             parts.append(f"{count} of {family}")
     return "; ".join(parts)
-
-
-def _times(every: dict[str, Any]) -> list[Claim]:
-    times = ("Ti", "Tt")
-    errors = [or_nan(every[f"mean_{name}_pct"]) for name in times]
-    pairs = zip(times, errors, strict=True)
-    return [claim("narx-paper", "goal_time", value, name=name) for name, value in pairs]
 
 
 SCHEMA = "narxcal.reproduce/1"
@@ -190,16 +184,9 @@ def reproduce(data: DataSets, effort: Effort, progress: Progress = silent) -> Re
     progress(0, 0, "Reading the flights")
     first = [correlation(data), smoothing(data), segments(data)]
     config = within(data.config, effort)
-    bundle = _calibrated(data, (config, data.training), (progress, "Calibrating"))
+    options = TrainOptions(_named(progress, "Calibrating"))
+    bundle = calibrate(config, data.base, data.training, options)
     return Reproduction((*first, *_judging(data, bundle, effort, progress)), bundle, data)
-
-
-def _calibrated(
-    data: DataSets, given: tuple[RunConfig, Split], shown: tuple[Progress, str]
-) -> Bundle:
-    """Calibrate as `given`, on the training part; `shown` is the progress and the step's name."""
-    config, split = given
-    return calibrate(config, data.base, split, TrainOptions(_named(*shown)))
 
 
 def _judging(data: DataSets, bundle: Bundle, effort: Effort, progress: Progress) -> Iterator[Study]:
@@ -227,5 +214,5 @@ def _widened(data: DataSets, bundle: Bundle, effort: Effort, progress: Progress)
     if not data.further:
         return bundle
     config = within(goal_config(data.config), effort)
-    shown = (progress, "Calibrating on all records")
-    return _calibrated(data, (config, goal_training(data)), shown)
+    options = TrainOptions(_named(progress, "Calibrating on all records"))
+    return calibrate(config, data.base, goal_training(data), options)

@@ -45,22 +45,13 @@ CURVES: Final = {
 }
 
 
-@dataclass(frozen=True)
-class SweepConfig:
-    """Which noise is added, and how often."""
-
-    channel: str = "N2_pct"
-    snr_db: tuple[float, ...] = SNR_DB
-    seeds: tuple[int, ...] = (0, 1, 2)
-    fuser: FuserConfig = field(default_factory=FuserConfig)
-
-
 @dataclass(frozen=True, eq=False)
 class Flight:
     """One log of the experiment, all `(time, n_out)` in the channels' units.
 
     `truth` are the smoothed measurements (NaN where there is none), `free_run` the model's
-    own simulation. `feed` is its one-step prediction from a measured history.
+    own simulation. `feed` is its one-step prediction from a measured history. Noise is added to
+    `channel`.
     """
 
     names: tuple[str, ...]
@@ -68,6 +59,25 @@ class Flight:
     truth: FloatArray
     free_run: FloatArray
     feed: Callable[[FloatArray], FloatArray]
+    channel: str = "N2_pct"
+    fuser: FuserConfig = field(default_factory=FuserConfig)
+
+    @property
+    def at(self) -> int:
+        """Column of the channel."""
+        return self.names.index(self.channel)
+
+    def fed(self, history: FloatArray) -> float:
+        """RMSE of the one-step prediction when `history` takes the channel's place."""
+        measured = self.truth.copy()
+        measured[:, self.at] = history
+        return rms(self.feed(measured)[:, self.at] - self.truth[:, self.at])
+
+    def fused(self, measured: FloatArray) -> FusedRun:
+        """The channel as `measured` (time,), fused with the free run."""
+        free_run = self.free_run[:, [self.at]]
+        found = estimate_noise(measured, free_run[:, 0], self.dt_s, (self.channel,))
+        return FastFuser(found, self.fuser).run(free_run, measured[:, None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,21 +96,23 @@ class NoiseSweep:
         }
 
 
-def flight_of(bundle: Bundle, log: Log) -> Flight:
-    """The experiment's view of one prepared log: its outputs as truth, the bundle's free run."""
+def flight_of(data: DataSets, bundle: Bundle, log: Log) -> Flight:
+    """One prepared log: its outputs as truth, the bundle's free run; noise on its last speed."""
     own = bundle.calibration.for_engine(log.source.engine, or_mean=True)
     inputs = hold_inputs(log, own.input_names).matrix(own.input_names)
     truth = log.matrix(own.output_names)
     return Flight(
-        names=own.output_names,
-        dt_s=own.dt_s,
-        truth=truth,
-        free_run=own.simulate(inputs, truth[0]),
-        feed=lambda history: own.predict(inputs, history),
+        own.output_names,
+        own.dt_s,
+        truth,
+        own.simulate(inputs, truth[0]),
+        lambda history: own.predict(inputs, history),
+        data.speeds[-1],
+        data.config.fuser,
     )
 
 
-def snr_sweep(flight: Flight, config: SweepConfig) -> pd.DataFrame:
+def snr_sweep(flight: Flight, snr_db: Sequence[float], seeds: Sequence[int]) -> pd.DataFrame:
     """One row per ratio and seed, RMSE against the truth in the channel's unit.
 
     Columns: `snr_db`, `seed`, `noise_sd`; `raw`, `fused` and `free_run` (the model alone);
@@ -108,11 +120,10 @@ def snr_sweep(flight: Flight, config: SweepConfig) -> pd.DataFrame:
     with its 95 % bounds `nis_low` and `nis_high`. R and Q are estimated from each noisy signal;
     nothing is tuned, and the ratio is not used.
     """
-    at = flight.names.index(config.channel)
     return pd.DataFrame(
-        {"snr_db": snr, "seed": seed, **_trial(flight, at, (snr, seed), config)}
-        for snr in config.snr_db
-        for seed in config.seeds
+        {"snr_db": snr, "seed": seed, **_trial(flight, (snr, seed))}
+        for snr in snr_db
+        for seed in seeds
     )
 
 
@@ -131,37 +142,22 @@ def noisy(truth: FloatArray, setting: tuple[float, int]) -> tuple[FloatArray, fl
     return np.asarray(truth + deviation * rng.normal(size=truth.shape)), deviation
 
 
-def _fused(flight: Flight, at: int, measured: FloatArray, config: SweepConfig) -> FusedRun:
-    free_run = flight.free_run[:, at]
-    found = estimate_noise(measured, free_run, flight.dt_s, (config.channel,))
-    return FastFuser(found, config.fuser).run(free_run[:, None], measured[:, None])
-
-
-def _trial(
-    flight: Flight, at: int, setting: tuple[float, int], config: SweepConfig
-) -> dict[str, float]:
-    truth, free_run = flight.truth[:, at], flight.free_run[:, at]
+def _trial(flight: Flight, setting: tuple[float, int]) -> dict[str, float]:
+    truth, free_run = flight.truth[:, flight.at], flight.free_run[:, flight.at]
     measured, deviation = noisy(truth, setting)
-    run = _fused(flight, at, measured, config)
+    run = flight.fused(measured)
     fused, check = run.values[:, 0], run.consistency()  # noqa: PD011 -- no data frame
     return {
         "noise_sd": deviation,
         "raw": rms(measured - truth),
         "fused": rms(fused - truth),
         "free_run": rms(free_run - truth),
-        "fed_raw": _fed(flight, at, measured),
-        "fed_fused": _fed(flight, at, fused),
+        "fed_raw": flight.fed(measured),
+        "fed_fused": flight.fed(fused),
         "mean_nis": check.mean_nis,
         "nis_low": check.low,
         "nis_high": check.high,
     }
-
-
-def _fed(flight: Flight, at: int, history: FloatArray) -> float:
-    """RMSE of the one-step prediction when `history` takes the channel's place in the register."""
-    measured = flight.truth.copy()
-    measured[:, at] = history
-    return rms(flight.feed(measured)[:, at] - flight.truth[:, at])
 
 
 def noise(
@@ -170,21 +166,20 @@ def noise(
     effort: Effort,
     progress: Progress = silent,
 ) -> Study:
-    """Sweep the noise over the paper's data sets."""
-    config = sweep_config(data, effort)
+    """Sweep the noise over the paper's data sets; one seed where the effort is cut."""
+    channel, seeds = data.speeds[-1], (0,) if effort.iterations else (0, 1, 2)
     found: dict[str, pd.DataFrame] = {}
     logs = numbered(data, NOISE_SETS)
-    for count, log in enumerate(logs):
+    flights = [flight_of(data, bundle, log) for log in logs]
+    for count, (log, flight) in enumerate(zip(logs, flights, strict=True)):
         progress(count, len(logs))
-        found[data.label(log.name)] = summarise(snr_sweep(flight_of(bundle, log), config))
-    sweeps = [
-        NoiseSweep(f"Data set {name}", config.channel, table) for name, table in found.items()
-    ]
+        found[data.label(log.name)] = summarise(snr_sweep(flight, SNR_DB, seeds))
+    sweeps = [NoiseSweep(f"Data set {name}", channel, table) for name, table in found.items()]
     return Study(
         key="noise",
-        title=f"{symbol(config.channel)} with noise below 45 dB",
+        title=f"{symbol(channel)} with noise below 45 dB",
         source="section 3.3 and conclusion (3), figure 13",
-        text=f"Gaussian noise is added to the smoothed {symbol(config.channel)}; the Kalman fuser "
+        text=f"Gaussian noise is added to the smoothed {symbol(channel)}; the Kalman fuser "
         "merges it with the model's free run; the network is then fed a step at a time with either "
         "as its past. Errors are against the smoothed signal. Noise variances are estimated from "
         "the noisy signal; the ratio is not used.",
@@ -192,20 +187,13 @@ def noise(
         tables=[tables.noise(sweep) for sweep in sweeps],
         pictures=[
             *(figures.noise(sweep) for sweep in sweeps[:1]),
-            _excerpt(data, logs[0], flight_of(bundle, logs[0]), config),
+            _excerpt(data, logs[0], flights[0]),
         ],
         results={
-            "channel": config.channel,
+            "channel": channel,
             "data_sets": {name: _rows(table) for name, table in found.items()},
         },
     )
-
-
-def sweep_config(data: DataSets, effort: Effort) -> SweepConfig:
-    """N2 (the last speed there is); fewer seeds where the effort is cut."""
-    seeds = (0,) if effort.iterations else (0, 1, 2)
-    channel = data.speeds[-1]
-    return SweepConfig(channel, seeds=seeds, fuser=data.config.fuser)
 
 
 def share_better(found: Mapping[str, pd.DataFrame], better: str, worse: str) -> float:
@@ -240,16 +228,16 @@ def _rows(table: pd.DataFrame) -> list[dict[str, Any]]:
     return [{str(k): v for k, v in row.items()} for row in table[kept].to_dict(orient="records")]
 
 
-def _excerpt(data: DataSets, log: Log, flight: Flight, config: SweepConfig) -> Picture:
+def _excerpt(data: DataSets, log: Log, flight: Flight) -> Picture:
     """Some seconds round the first event, at one ratio: figure 13."""
-    at = flight.names.index(config.channel)
-    measured, _ = noisy(flight.truth[:, at], (SHOWN_DB, config.seeds[0]))
-    fused = _fused(flight, at, measured, config).values[:, 0]  # noqa: PD011 -- no data frame
-    curves = {"with noise": measured, "fused": fused, "smoothed": flight.truth[:, at]}
+    truth = flight.truth[:, flight.at]
+    measured, _ = noisy(truth, (SHOWN_DB, 0))
+    fused = flight.fused(measured).values[:, 0]  # noqa: PD011 -- no data frame
+    curves = {"with noise": measured, "fused": fused, "smoothed": truth}
     rows = _shown(data, log)
     caption = f"Data set {data.label(log.name)} at {SHOWN_DB:g} dB."
     shown = {name: values[rows] for name, values in curves.items()}
-    return figures.fused(log.time_s[rows], config.channel, shown, caption)
+    return figures.fused(log.time_s[rows], flight.channel, shown, caption)
 
 
 def _shown(data: DataSets, log: Log) -> slice:

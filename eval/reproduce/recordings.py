@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -177,16 +178,17 @@ def _role(data: DataSets, log: Log) -> str:
 
 def _firsts(data: DataSets) -> list[Picture]:
     """The first fast push and the first fast pull of the first data set that has one."""
-    drawn = []
-    for label in (PUSH, PULL):
-        for one in data.prepared:
-            fast = [each for each in one.events if each.label == label and each.speed == "fast"]
-            if fast:
-                names = (data.config.events.driver, *data.speeds)
-                what = f"First {'push' if label == PUSH else 'pull'}, data set "
-                title = what + str(data.number(one.log.name))
-                drawn.append(figures.segment(one.log, fast[0], names, title))
-                break
+    names, drawn = (data.config.events.driver, *data.speeds), []
+    for label, word in ((PUSH, "push"), (PULL, "pull")):
+        fast = (
+            (one.log, event)
+            for one in data.prepared
+            for event in one.events
+            if event.label == label and event.speed == "fast"
+        )
+        for log, event in islice(fast, 1):
+            title = f"First {word}, data set {data.number(log.name)}"
+            drawn.append(figures.segment(log, event, names, title))
     return drawn
 
 

@@ -6,9 +6,9 @@ and Tt per data set and class. `splits`: ten random 7:3 divisions of the events.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -33,24 +33,25 @@ from training.folds import divide
 from training.pipeline import run_plans
 from training.responses.transients import AssessedEvent, Assessment, tally
 
+_TIMES = ("Ti", "Tt")
 PAPER_PCT = 5.0  # below which the paper finds all its largest errors
-
-
-class EventClass(NamedTuple):
-    """Phase of the flight, direction and speed of a lever movement."""
-
-    phase: str
-    direction: str
-    speed: str
 
 
 @dataclass(frozen=True, eq=False)
 class Classed:
-    """One event of an evaluated log, and its class."""
+    """One event of an evaluated log, with its class: phase, direction and speed of the lever."""
 
     log: LogEvaluation
     event: AssessedEvent
-    kind: EventClass
+    phase: str
+
+    @property
+    def direction(self) -> str:
+        return ("push", "pull")[self.event.event.label]
+
+    @property
+    def speed(self) -> str:
+        return self.event.event.speed
 
 
 def judged(bundle: Bundle, logs: Sequence[Log]) -> list[LogEvaluation]:
@@ -63,15 +64,7 @@ def judged(bundle: Bundle, logs: Sequence[Log]) -> list[LogEvaluation]:
 def classed(driver: str, found: Sequence[LogEvaluation]) -> list[Classed]:
     """Sort every event of the lever `driver` into its class."""
     return [
-        Classed(
-            one,
-            event,
-            EventClass(
-                phase_of(one.log, event.event, driver),
-                ("push", "pull")[event.event.label],
-                event.event.speed,
-            ),
-        )
+        Classed(one, event, phase_of(one.log, event.event, driver))
         for one in found
         for event in one.events
     ]
@@ -94,15 +87,14 @@ def by(
 
 def worst_relative_pct(events: Sequence[Classed]) -> dict[str, float]:
     """Largest relative error per channel over the samples of these events, in percent."""
-    runs = [one.log.run for one in events]
-    rows = [slice(one.event.event.start, one.event.event.stop) for one in events]
-    pairs = list(zip(runs, rows, strict=True))
+    pairs = [(one.log.run, slice(one.event.event.start, one.event.event.stop)) for one in events]
     worst = max_relative_percent(
-        np.concatenate([run.measured[part] for run, part in pairs]),
-        np.concatenate([run.model[part] for run, part in pairs]),
-        np.concatenate([run.scored[part] for run, part in pairs]),
+        *(
+            np.concatenate([getattr(run, name)[rows] for run, rows in pairs])
+            for name in ("measured", "model", "scored")
+        )
     )
-    return dict(zip(runs[0].channels, worst.tolist(), strict=True))
+    return dict(zip(pairs[0][0].channels, worst.tolist(), strict=True))
 
 
 def accuracy(
@@ -131,11 +123,16 @@ def accuracy(
     )
 
 
+def worst_pct(found: Sequence[LogEvaluation]) -> dict[str, float]:
+    """Largest relative error per channel over whole logs, in percent."""
+    return {name: one.max_rel_pct for name, one in score([log.run for log in found]).items()}
+
+
 def class_rows(events: Sequence[Classed]) -> list[dict[str, Any]]:
     """One row per phase and direction, then per speed, with the worst of each channel."""
     groups = {
-        **by(events, lambda one: f"{one.kind.phase}, {one.kind.direction}", _both(PHASES)),
-        **by(events, lambda one: f"{one.kind.speed}, {one.kind.direction}", _both(SPEEDS)),
+        **by(events, lambda one: f"{one.phase}, {one.direction}", _both(PHASES)),
+        **by(events, lambda one: f"{one.speed}, {one.direction}", _both(SPEEDS)),
     }
     return [
         {"class": name, "events": len(group), "max_rel_pct": worst_relative_pct(group)}
@@ -173,15 +170,15 @@ def class_table(
     groups = [("every sample", "", pooled)]
     groups += [(row["class"], row["events"], row["max_rel_pct"]) for row in classes]
     rows = [
-        (name, count, *(_percent(worst[channel], bound) for channel in pooled))
+        (
+            name,
+            count,
+            *(figure(each, "bad" if each >= bound else "good") for each in worst.values()),
+        )
         for name, count, worst in groups
     ]
     head = ("events", "number", *(f"{symbol(name)} [%]" for name in pooled))
     return table_of(f"Largest relative error; {bound:g} % or more is marked", head, rows)
-
-
-def _percent(value: float, bound: float) -> Cell:
-    return figure(value, "bad" if value >= bound else "good")
 
 
 def _first_view(data: DataSets, bundle: Bundle, found: Sequence[LogEvaluation]) -> LogView:
@@ -196,7 +193,7 @@ def response_times(
     every = figures_of(assessments_of(events))
     rows = [{"group": name, **figures_of(group)} for name, group in groups.items()]
     view = _first_view(data, bundle, found)
-    largest = [_largest_claim(every, name) for name in ("Ti", "Tt")]
+    largest = [_largest_claim(every, name) for name in _TIMES]
     return Study(
         key="response_times",
         title="Ti and Tt",
@@ -217,11 +214,12 @@ def response_times(
 def groups_of(data: DataSets, events: Sequence[Classed]) -> dict[str, list[Assessment]]:
     """Per test data set and direction, then per phase, then per speed of the lever."""
     sets = [f"data set {data.number(log.name)}" for log in data.tests]
-    ways = [f"{name}, {way}" for name in sets for way in ("push", "pull")]
     split = {
-        **by(events, lambda e: f"data set {data.number(e.log.log.name)}, {e.kind.direction}", ways),
-        **by(events, lambda e: e.kind.phase, PHASES),
-        **by(events, lambda e: f"{e.kind.speed} lever", [f"{name} lever" for name in SPEEDS]),
+        **by(
+            events, lambda e: f"data set {data.number(e.log.log.name)}, {e.direction}", _both(sets)
+        ),
+        **by(events, lambda e: e.phase, PHASES),
+        **by(events, lambda e: f"{e.speed} lever", [f"{name} lever" for name in SPEEDS]),
     }
     return {name: assessments_of(group) for name, group in split.items()}
 
@@ -232,22 +230,13 @@ def figures_of(assessments: Sequence[Assessment]) -> dict[str, Any]:
     The largest ones are over the events whose times could be compared at all.
     """
     counts = tally(assessments)
-    return {
-        "events": counts.events,
-        "assessed": counts.assessed,
-        "passed": counts.passed,
-        "passed_pct": counts.passed_pct,
-        "mean_Ti_pct": counts.mean_relative_Ti_pct,
-        "mean_Tt_pct": counts.mean_relative_Tt_pct,
-        "max_Ti_pct": _largest(assessments, "Ti"),
-        "max_Tt_pct": _largest(assessments, "Tt"),
-    }
-
-
-def _largest(assessments: Sequence[Assessment], name: str) -> float | None:
-    checks = [getattr(one.verdict, name) for one in assessments if one.verdict.ok is not None]
-    known = [100.0 * check.relative for check in checks if check is not None]
-    return max(known, default=None)
+    found = {n: getattr(counts, n) for n in ("events", "assessed", "passed", "passed_pct")}
+    found |= {f"mean_{n}_pct": getattr(counts, f"mean_relative_{n}_pct") for n in _TIMES}
+    judged = [one.verdict for one in assessments if one.verdict.ok is not None]
+    for name in _TIMES:
+        checks = [check for each in judged if (check := getattr(each, name)) is not None]
+        found[f"max_{name}_pct"] = max((100.0 * one.relative for one in checks), default=None)
+    return found
 
 
 def passed_claim(every: dict[str, Any], key: str = "passed") -> Claim:
@@ -270,20 +259,16 @@ def times_table(rows: Sequence[dict[str, Any]]) -> Table:
         "events", "readings", "assessed", "passed", "mean Ti [%]", "max Ti [%]", "mean Tt [%]",
         "max Tt [%]",
     )  # fmt: skip
-    keys = ("mean_Ti_pct", "max_Ti_pct", "mean_Tt_pct", "max_Tt_pct")
-    cells = [
-        (row["group"], row["events"], row["assessed"], _passed(row), *(row[key] for key in keys))
-        for row in rows
-    ]
+    cells = []
+    for row in rows:
+        passed = Cell(NOTHING, "none", number=True)
+        if row["assessed"]:
+            whole = row["passed"] == row["assessed"]
+            passed = Cell(str(row["passed"]), "good" if whole else "bad", number=True)
+        times = [row[f"{how}_{name}_pct"] for name in _TIMES for how in ("mean", "max")]
+        cells.append((row["group"], row["events"], row["assessed"], passed, *times))
     caption = "Relative errors of Ti and Tt; a reading is one event of one speed"
     return table_of(caption, head, cells)
-
-
-def _passed(row: dict[str, Any]) -> Cell:
-    if not row["assessed"]:
-        return Cell(NOTHING, "none", number=True)
-    whole = row["passed"] == row["assessed"]
-    return Cell(str(row["passed"]), "good" if whole else "bad", number=True)
 
 
 def splits(data: DataSets, effort: Effort, progress: Progress = silent) -> Study:
@@ -298,7 +283,7 @@ def splits(data: DataSets, effort: Effort, progress: Progress = silent) -> Study
         source="section 3.2",
         text="Whole events are held back, never parts of one; free run over each held-back event. "
         "The figures are the worst of all divisions, the times the mean over them.",
-        claims=_split_claims(worst),
+        claims=list(_split_claims(worst)),
         tables=[tables.folds(found, scheme)],
         pictures=[] if spread is None else [spread],
         results={"worst": worst, "folds": found.document()["schemes"][0]["folds"]},
@@ -324,35 +309,20 @@ def worst_of(found: CrossValidation) -> dict[str, Any]:
     worst = {
         key: part["max"] for key, part in over.items() if key.startswith(("max_rel_pct.", "rmse."))
     }
-    times = ("mean_relative_Ti_pct", "mean_relative_Tt_pct")
+    times = [f"mean_relative_{name}_pct" for name in _TIMES]
     means = {key: over[key]["mean"] if key in over else None for key in times}
     counts = {key: total(found.folds, key) for key in ("passed", "assessed")}
     return {**worst, **means, **counts}
 
 
-def _split_claims(worst: dict[str, Any]) -> list[Claim]:
-    channels = [key.partition(".")[2] for key in worst if key.startswith("max_rel_pct.")]
-    return [
-        *(
-            claim(
-                "narx-paper",
-                "split",
-                or_nan(worst[f"max_rel_pct.{name}"]),
-                name=symbol(name),
-                rmse=or_nan(worst[f"rmse.{name}"]),
-                unit=unit(name),
-            )
-            for name in channels
-        ),
-        *(
-            claim(
-                "narx-paper",
-                "split_time",
-                or_nan(worst[f"mean_relative_{name}_pct"]),
-                name=name,
-                passed=worst["passed"],
-                assessed=worst["assessed"],
-            )
-            for name in ("Ti", "Tt")
-        ),
-    ]
+def _split_claims(worst: dict[str, Any]) -> Iterator[Claim]:
+    for key, value in worst.items():
+        kind, _, name = key.partition(".")
+        if kind == "max_rel_pct":
+            rmse = or_nan(worst[f"rmse.{name}"])
+            fills = {"name": symbol(name), "rmse": rmse, "unit": unit(name)}
+            yield claim("narx-paper", "split", or_nan(value), **fills)
+    for name in _TIMES:
+        fills = {"name": name, "passed": worst["passed"], "assessed": worst["assessed"]}
+        mean = or_nan(worst[f"mean_relative_{name}_pct"])
+        yield claim("narx-paper", "split_time", mean, **fills)

@@ -13,11 +13,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
-from typing import Final
+from itertools import product
+from typing import Final, NamedTuple
 
 import numpy as np
+import pandas as pd
 from scipy.stats import binom, norm
 
 from eval.report.tables import Cell, Table, figure
@@ -50,39 +51,27 @@ from training.papers.output_error_result import OutputErrorFit
 LEVEL: Final = 0.9
 _claim = partial(claim, "spey")
 SIDES: Final[tuple[Side, Side]] = ("left", "right")
-Estimates = Mapping[str, tuple[float, float]]
-
-
-@dataclass(frozen=True, eq=False)
-class Identification:
-    """All steps of one engine; `engine` is one fit per record."""
-
-    throttle: OutputErrorFit
-    pressures: OutputErrorFit
-    engine: tuple[OutputErrorFit, ...]
-    control: OutputErrorFit
+ENGINES: Final = (*SIDES, "twin")
 
 
 def identify(
     records: Sequence[FlightRecord], sigma: Mapping[str, float] | None = None
-) -> Identification:
+) -> tuple[dict[str, Combined], OutputErrorFit]:
     """Run the four steps on records of one engine; `sigma` is the known noise, None estimates it.
 
-    Raises as `fit` does.
+    Returns the weighted means of the engine's parameters over single records, and the joint fit of
+    engine and control. Raises as `fit` does.
     """
     dt_s = records[0].dt_s
-    linkage, ducts = ThrottleLinkage(), DuctPressures(dt_s)
-    throttle = fit(linkage, [one.of(linkage) for one in records], Plan(sigma=sigma))
-    pressures = fit(ducts, [one.of(ducts) for one in records], Plan(sigma=sigma))
-    found = {**pressures.parameters(), **throttle.parameters()}
-    fuel = EngineFromFuel(dt_s)
+    found: dict[str, float] = {}
+    for chain in (DuctPressures(dt_s), ThrottleLinkage()):
+        found |= fit(chain, [one.of(chain) for one in records], Plan(sigma=sigma)).parameters()
+    fuel, whole = EngineFromFuel(dt_s), EngineAndControl(dt_s)
     plan = Plan(start=within_bounds(fuel, found), sigma=sigma)
-    engine = tuple(fit(fuel, one.of(fuel), plan) for one in records)
-    found |= {name: one.combined.value for name, one in repeatability(engine).items()}
-    whole = EngineAndControl(dt_s)
+    means = combined([fit(fuel, one.of(fuel), plan) for one in records])
+    found |= {name: one.value for name, one in means.items()}
     plan = Plan(start=within_bounds(whole, found), sigma=sigma)
-    control = fit(whole, [one.of(whole) for one in records], plan)
-    return Identification(throttle, pressures, engine, control)
+    return means, fit(whole, [one.of(whole) for one in records], plan)
 
 
 def within_bounds(model: Model, values: Mapping[str, float]) -> dict[str, float]:
@@ -94,23 +83,10 @@ def within_bounds(model: Model, values: Mapping[str, float]) -> dict[str, float]
     }
 
 
-@dataclass(frozen=True, eq=False)
-class Repeated:
-    """One parameter over several records: a row of Table 3, and its combination for Table 4."""
-
-    estimates: tuple[float, ...]
-    sd: tuple[float, ...]
-    combined: Combined
-
-
-def repeatability(fits: Sequence[OutputErrorFit]) -> dict[str, Repeated]:
-    """Estimates of single records by parameter, and their means weighted by dispersion."""
+def combined(fits: Sequence[OutputErrorFit]) -> dict[str, Combined]:
+    """Means of single records, weighted by dispersion: a row of Table 3 for Table 4."""
     found = [one.estimates() for one in fits]
-    rows = {}
-    for name in found[0]:
-        values, sd = zip(*(each[name] for each in found), strict=True)
-        rows[name] = Repeated(values, sd, combine(values, sd))
-    return rows
+    return {name: combine(*zip(*(each[name] for each in found), strict=True)) for name in found[0]}
 
 
 def prediction_error(model: Model, values: Mapping[str, float], record: Record) -> dict[str, float]:
@@ -131,28 +107,31 @@ def tau_engine(values: Mapping[str, complex]) -> complex:
 
 def tau_engine_of(control: OutputErrorFit) -> tuple[float, float]:
     """tau_engine and its standard deviation, s, with the correlations of the fit."""
-    places = [control.names.index(name) for name in ("tau_H", "K_AF", "C_FH")]
+    names = ("tau_H", "K_AF", "C_FH")
+    places = [control.names.index(name) for name in names]
     covariance = control.covariance if control.white else control.covariance_coloured
-    values = {control.names[k]: float(control.values[k]) for k in places}
+    estimates = control.estimates()
+    values = {name: estimates[name][0] for name in names}
     return propagate(tau_engine, values, covariance[np.ix_(places, places)])
 
 
-@dataclass(frozen=True, eq=False)
-class Trial:
-    """One seed: estimates by engine (engine and control; Cramer-Rao, coloured) and what follows.
+class Trial(NamedTuple):
+    """One seed: what was identified, and what it predicts.
 
-    "twin" is the left engine with the right one's tau_H. `runs` are the estimates of the left
-    engine from measured fuel flow, by parameter and record; `predicted` is the RMS error over a
+    `estimates` has rows (engine, name) with the value by engine and control, its deviation by
+    Cramer and Rao and for coloured residuals; "twin" is the left engine with the right one's tau_H.
+    `runs` are those of the left engine from measured fuel flow; `predicted` is the RMS error over a
     record that was not used, in sensor deviations, at worst.
     """
 
-    plain: Mapping[str, Estimates]
-    coloured: Mapping[str, Estimates]
+    estimates: pd.DataFrame
     runs: Mapping[str, Combined]
     predicted: float
 
-
-ENGINES: Final = ("left", "right", "twin")
+    def of(self, engine: str) -> dict[str, tuple[float, float]]:
+        """Values and deviations of one engine."""
+        own = self.estimates.loc[engine]
+        return dict(zip(own.index, zip(own["value"], own["sd"], strict=True), strict=True))
 
 
 def truth(engine: str) -> dict[str, float]:
@@ -170,39 +149,34 @@ def trial(seed: int) -> Trial:
     found = {engine: identify(records, sigma) for engine, records in flown.items()}
     model = EngineAndControl(SAMPLING_S)
     *used, unused = (one.of(model) for one in flown["left"])
-    left = found["left"].control
-    start = Plan(start=dict(zip(left.names, left.values.tolist(), strict=True)), sigma=sigma)
+    runs, left = found["left"]
+    start = Plan(start={name: one[0] for name, one in left.estimates().items()}, sigma=sigma)
     rms = prediction_error(model, fit(model, used, start).parameters(), unused)
-    return Trial(
-        {engine: _estimates(one, coloured=False) for engine, one in found.items()},
-        {engine: _estimates(one, coloured=True) for engine, one in found.items()},
-        {name: one.combined for name, one in repeatability(found["left"].engine).items()},
-        max(rms[name] / sigma[name] for name in rms),
-    )
+    rows = pd.concat({engine: _estimates(control) for engine, (_, control) in found.items()})
+    return Trial(rows, runs, max(rms[name] / sigma[name] for name in rms))
 
 
-def _estimates(found: Identification, *, coloured: bool) -> dict[str, tuple[float, float]]:
-    control = found.control
-    sd = control.sd_coloured if coloured else control.sd
-    pairs = zip(control.names, control.values.tolist(), sd.tolist(), strict=True)
-    return {name: (value, s) for name, value, s in pairs} | {"tau_engine": tau_engine_of(control)}
+def _estimates(control: OutputErrorFit) -> pd.DataFrame:
+    found = control.values, control.sd, control.sd_coloured  # noqa: PD011 -- no data frame
+    rows = pd.DataFrame(np.transpose(found), list(control.names), ["value", "sd", "coloured"])
+    value, sd = tau_engine_of(control)
+    rows.loc["tau_engine"] = value, sd, sd
+    return rows
 
 
-def coverage(trials: Sequence[Trial], *, coloured: bool = False) -> dict[str, float]:
+def coverage(trials: Sequence[Trial], sd: str = "sd") -> dict[str, float]:
     """Share of 90 % intervals that contain the truth, in percent, by parameter and "pooled".
 
     Over the left and right engines; tau_engine, which follows from others, is not pooled.
     """
     half = float(norm.ppf(0.5 + LEVEL / 2.0))
-    inside: dict[str, list[bool]] = {}
-    for one in trials:
-        for engine in SIDES:
-            known = truth(engine)
-            for name, (value, sd) in (one.coloured if coloured else one.plain)[engine].items():
-                inside.setdefault(name, []).append(abs(value - known[name]) <= half * sd)
-    shares = {name: 100.0 * float(np.mean(hits)) for name, hits in inside.items()}
-    pooled = [hit for name, hits in inside.items() if name != "tau_engine" for hit in hits]
-    return {**shares, "pooled": 100.0 * float(np.mean(pooled))}
+    inside = []
+    for one, engine in product(trials, SIDES):
+        own, known = one.estimates.loc[engine], truth(engine)
+        inside.append(abs(own["value"] - [known[name] for name in own.index]) <= half * own[sd])
+    hits = pd.concat(inside, axis=1)
+    pooled = hits.drop(index="tau_engine").to_numpy().mean()
+    return {**(100.0 * hits.mean(axis=1)).to_dict(), "pooled": 100.0 * float(pooled)}
 
 
 def simulated_study(seeds: int, jobs: int = 1, progress: Progress = silent) -> Study:
@@ -211,7 +185,7 @@ def simulated_study(seeds: int, jobs: int = 1, progress: Progress = silent) -> S
     for one in in_processes(trial, list(range(seeds)), jobs):
         trials.append(one)
         progress(len(trials), seeds, "simulated engines")
-    shares, other = coverage(trials), coverage(trials, coloured=True)
+    shares, other = coverage(trials), coverage(trials, "coloured")
     return Study(
         key="spey-simulated",
         title="Engines simulated with the paper's parameters",
@@ -237,8 +211,7 @@ def _coverage_claims(shares: Mapping[str, float]) -> list[Claim]:
 
 def _test_claims(trials: Sequence[Trial]) -> list[Claim]:
     found = [
-        {one.name: one for one in compare(each.plain["left"], each.plain["twin"])}
-        for each in trials
+        {one.name: one for one in compare(each.of("left"), each.of("twin"))} for each in trials
     ]
     equal = [name for name in found[0] if name not in ("tau_H", "tau_engine")]
     power = np.mean([one["tau_H"].significant for one in found])
@@ -258,15 +231,16 @@ def _coverage_table(
 ) -> Table:
     head = ("parameter", "true left", "mean", "sd reported", "sd observed", "coverage [%]",
             "coverage, corrected sd [%]")  # fmt: skip
-    rows = []
-    for name, true in truth("left").items():
-        if name in shares:
-            each = np.array([one.plain["left"][name] for one in trials])
-            scatter = float(each[:, 0].std(ddof=1)) if len(each) > 1 else math.nan
-            rows.append((
-                name, figure(true, digits=4), figure(each[:, 0].mean(), digits=4),
-                each[:, 1].mean(), scatter, shares[name], other[name],
-            ))  # fmt: skip
+    every = pd.concat([one.estimates.loc["left"] for one in trials]).groupby(level=0)
+    means, scatter = every.mean(), every["value"].std()
+    rows = [
+        (
+            name, figure(true, digits=4), figure(means["value"][name], digits=4),
+            means["sd"][name], scatter[name], shares[name], other[name],
+        )
+        for name, true in truth("left").items()
+        if name in shares
+    ]  # fmt: skip
     return table_of("Joint fit of engine and control; coverage over both engines", head, rows)
 
 
@@ -291,7 +265,7 @@ _ROW = {row.name: row for row in TABLE_4}
 
 def paper_study() -> Study:
     """Claims that follow from the printed tables; contradictions carry their reason."""
-    combined = {row.name: combine(row.estimates, row.sd) for row in TABLE_3}
+    means = {row.name: combine(row.estimates, row.sd) for row in TABLE_3}
     differences = compare(
         {row.name: row.side("left") for row in TABLE_4},
         {row.name: row.side("right") for row in TABLE_4},
@@ -303,19 +277,19 @@ def paper_study() -> Study:
         text="Table 3 is of the left engine. Means are weighted by 1/sd^2; the Birge ratio is the "
         "scatter between records over the reported standard deviation. The +- of Table 4 is taken "
         "as one standard deviation; significance at 5 % over all parameters together (Holm).",
-        claims=[*_table_claims(combined), *_difference_claims(differences)],
-        tables=[_table_3(combined), _table_4(differences)],
+        claims=[*_table_claims(means), *_difference_claims(differences)],
+        tables=[_table_3(means), _table_4(differences)],
         results={
-            "birge": {name: one.birge for name, one in combined.items()},
+            "birge": {name: one.birge for name, one in means.items()},
             "z": {one.name: one.z for one in differences},
         },
     )
 
 
-def _table_claims(combined: Mapping[str, Combined]) -> list[Claim]:
+def _table_claims(means: Mapping[str, Combined]) -> list[Claim]:
     agree = [
         name
-        for name, one in combined.items()
+        for name, one in means.items()
         if abs(one.value - _ROW[name].left) <= _ROW[name].left_sd
     ]
     closed = max(abs(tau_engine(table_4(side)).real - TAU_ENGINE.side(side)[0]) for side in SIDES)
@@ -326,7 +300,7 @@ def _table_claims(combined: Mapping[str, Combined]) -> list[Claim]:
         _claim("S5", len(agree), listed=", ".join(agree)),
         _claim("S6_ratio", worst, left=ratio[0][0], right=ratio[1][0]),
         _claim("S9", _effect_of_duct_lag()),
-        _claim("S10_records", max(one.birge for one in combined.values())),
+        _claim("S10_records", max(one.birge for one in means.values())),
     ]
 
 
@@ -362,7 +336,7 @@ def _difference_claims(differences: Sequence[Difference]) -> list[Claim]:
     ]
 
 
-def _table_3(combined: Mapping[str, Combined]) -> Table:
+def _table_3(means: Mapping[str, Combined]) -> Table:
     head = ("parameter", "record 1", "record 2", "record 3", "mean", "Birge ratio", "Table 4 left")
     rows = [
         (
@@ -371,11 +345,12 @@ def _table_3(combined: Mapping[str, Combined]) -> Table:
                 Cell(f"{value:g} ({percent:g} %)", number=True)
                 for value, percent in zip(row.estimates, row.sd_percent, strict=True)
             ),
-            combined[row.name].value,
-            birge_cell(combined[row.name]),
+            one.value,
+            # 1.73: the 5 % limit for three records
+            figure(one.birge, "bad" if one.birge > 1.73 else ""),
             _ROW[row.name].left,
         )
-        for row in TABLE_3
+        for row, one in zip(TABLE_3, means.values(), strict=True)
     ]
     return table_of("Table 3: three records, standard deviations in percent", head, rows)
 
@@ -388,19 +363,14 @@ def _table_4(differences: Sequence[Difference]) -> Table:
             row.name,
             Cell(f"{row.left:g} ± {row.left_sd:g}", number=True),
             Cell(f"{row.right:g} ± {row.right_sd:g}", number=True),
-            of[row.name].percent if row.name in of else None,
-            of[row.name].z if row.name in of else None,
-            "yes" if row.name in of and of[row.name].significant else "no",
+            one and one.percent,
+            one and one.z,
+            "yes" if one and one.significant else "no",
             row.reading,
         )
-        for row in TABLE_4
+        for row, one in ((row, of.get(row.name)) for row in TABLE_4)
     ]
     return table_of("Table 4: left against right engine", head, rows)
-
-
-def birge_cell(one: Combined) -> Cell:
-    """Birge ratio, marked above 1.73: the 5 % limit for three records."""
-    return figure(one.birge, "bad" if one.birge > 1.73 else "")
 
 
 def spey_studies(seeds: int = 100, jobs: int = 1, progress: Progress = silent) -> tuple[Study, ...]:

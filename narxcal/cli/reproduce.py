@@ -139,7 +139,7 @@ def _placed(config: RunConfig, base: Path, out: Path, options: Namespace) -> Run
     if options.data is not None:
         return with_table(config, options.data) if _flown_before(options.data) else config
     write_records(out / FLIGHTS, paper_scenario(options.seed), options.jobs)
-    return flown(config, base, out / FLIGHTS)[0]
+    return flown(config, base, out / FLIGHTS)
 
 
 def _studied(data: DataSets, effort: Effort, console: Console) -> Reproduction:

@@ -10,11 +10,10 @@ import pytest
 
 from data_prep.events import Event
 from eval import bench
-from eval.benchmarks import Row, public_sets, speed
+from eval.benchmarks import Row, public_sets
 from eval.benchmarks import flights as picture
 from narxcal.support.errors import DataError
 from training.estimator.ladder import Limits
-from training.estimator.search import Rates, counted
 from training.responses.rules import Verdict
 from training.responses.transients import AssessedEvent
 
@@ -118,16 +117,3 @@ def test_the_picture_is_of_the_largest_assessed_push_even_a_failed_one():
 def test_a_log_without_such_a_push_has_no_picture():
     with pytest.raises(DataError, match=r"^no fast push could be assessed in every channel$"):
         picture.largest_push([moved(label=1)])
-
-
-def test_rates_are_recovered_and_their_costs_hold():
-    true = Rates(200.0, 0.2, 0.03, 1e-3, 2e-5, 3e-5)
-    draw = np.random.default_rng(0)
-    sizes = [
-        (samples, samples / every, size, kind)
-        for samples in (500, 4000)
-        for every in (1, 9)
-        for size, kind in ((14, (0, 2)), (90, (0, 8)), (105, (8, 3)), (420, (16, 8)))
-    ]
-    rows = [(counted(*each), true.step(*each) * draw.uniform(0.99, 1.01)) for each in sizes]
-    np.testing.assert_allclose(speed.rates(rows), list(vars(true).values()), rtol=0.2)

@@ -40,9 +40,9 @@ def test_rows_and_events_within_the_windows_do_not_count():
     found = SimpleNamespace(logs=[log("second", 3.0), log("second", 4.0)], config=rules)
     rows = list(_outside(CAMPAIGN, ("two", found), WINDOWS, {"N1_pct": 1.0}))
     assert rows[0].group == "two, outside unlogged loads"
-    assert rows[0].value == pytest.approx(np.sqrt(12.5))
-    assert rows[1].value == pytest.approx(100.0 * 4 / 6)
-    assert rows[1].note == "4 of 6 assessed; rules paper"
+    assert rows[0].value == pytest.approx(100.0 * 4 / 6)
+    assert rows[0].note == "4 of 6 assessed; rules paper"
+    assert rows[1].value == pytest.approx(np.sqrt(12.5))
 
 
 @pytest.mark.parametrize(("names", "windows"), [(["second"], WINDOWS), (["first", "second"], ())])

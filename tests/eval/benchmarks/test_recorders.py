@@ -8,7 +8,8 @@ import pytest
 
 from data_prep.log import Finding, Log, Source
 from eval.benchmarks import recorders
-from eval.benchmarks.recorders import Figure, Recorder, Screened
+from eval.benchmarks.flights import Passes
+from eval.benchmarks.recorders import Figure, Measured, Recorder, Screened
 from training.config import RunConfig
 
 
@@ -43,31 +44,40 @@ def test_the_halves_of_one_flight_are_two_recordings():
 
 
 def test_a_figure_is_compared_with_the_best_baseline():
-    one = Figure("N1_pct", 1.0, 1.0, {"steady": 2.0, "arx": 0.8, "output error": math.nan})
+    one = Figure("N1_pct", 1.0, {"steady": 2.0, "arx": 0.8, "output error": math.nan})
     assert one.best == 0.8
     assert one.ratio == pytest.approx(1.25)
-    assert math.isnan(Figure("N1_pct", math.nan, math.nan).ratio)
+    assert math.isnan(Figure("N1_pct", math.nan).ratio)
 
 
-def summary(figures, seen):
-    return {row.name: row for row in recorders._summary("some", figures, seen)}
+def summary(figures=(), passes=(), seen=()):
+    return {row.name: row for row in recorders._summary("some", Measured(figures, passes, seen))}
 
 
 def test_lost_figures_are_counted_and_left_out_of_the_mean():
     figures = [
-        Figure("N1_pct", 2.0, 2.0, {"steady": 4.0}),
-        Figure("N2_pct", 2.0, 2.0, {"steady": 1.0}),
-        Figure("EGT_C", math.nan, 5.0, why="every sample is masked"),
+        Figure("N1_pct", 2.0, {"steady": 4.0}),
+        Figure("N2_pct", 2.0, {"steady": 1.0}),
+        Figure("EGT_C", math.nan, why="every sample is masked"),
     ]
-    rows = summary(figures, [])
+    rows = summary(figures)
     assert rows["geometric mean over the best"].value == pytest.approx(1.0)
     assert rows["worst over the best"].value == pytest.approx(2.0)
     assert rows["figures lost"].value == 1.0
 
 
+def test_response_times_of_all_divisions_come_first():
+    rows = summary([Figure("N1_pct", 2.0, {"steady": 4.0})], [Passes(3, 4, 2), Passes(0, 6, 2)])
+    assert next(iter(rows)) == "Ti and Tt passed"
+    assert rows["Ti and Tt passed"].value == pytest.approx(30.0)
+    assert rows["Ti and Tt passed"].target == pytest.approx(40.0)
+    assert rows["Ti and Tt passed"].note == "3 of 10; best baseline 4"
+    assert summary(passes=[Passes(0, 0, 0)])["Ti and Tt passed"].reached is None
+
+
 def test_masked_samples_and_logs_with_findings_are_shares_of_all():
     seen = [Screened("a", 2.0, 1000, 0, ()), Screened("b", 2.0, 1000, 10, ("N1_pct stuck",))]
-    rows = summary([], seen)
+    rows = summary(seen=seen)
     assert rows["sound samples masked"].value == pytest.approx(0.5)
     assert rows["sound logs with a finding, per 100 h"].value == pytest.approx(25.0)
 

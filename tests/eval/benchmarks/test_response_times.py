@@ -12,32 +12,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_prep.prepare import hold_inputs, prepare
-from data_prep.reading import read_logs
+from data_prep.prepare import prepare
+from eval.benchmarks.flights import left_one_out, trained_on
 from eval.benchmarks.recorders import Recorder
 from eval.judging.evaluate import evaluate
 from training.config import load_config
-from training.folds import leave_one_flight_out
 from training.pipeline import calibrate, configured_files, prepare_logs
-from training.records import Split, split_logs
+from training.records import split_logs
 
 DATA = Path(__file__).parents[3] / ".." / "shared" / "data"
 
 
-def judged(config, base, train, test):
-    """Free runs over some prepared logs by a model of others."""
-    held = tuple(hold_inputs(log, config.steady_state.inputs) for log in train)
-    return evaluate(calibrate(config, base, Split(held, (), ())), test)
-
-
 def left_out(config, base):
     """Free runs over each flight by a model of the others."""
-    logs = [
-        one.log for one in prepare(read_logs(configured_files(config, base), config.logs), config)
-    ]
-    for plan in leave_one_flight_out(logs, config.events):
-        train, test = ([part.log for part in parts] for parts in (plan.train, plan.test))
-        yield judged(config, base, train, test)
+    for _, bundle, test in left_one_out(config, base, configured_files(config, base)):
+        yield evaluate(bundle, test)
 
 
 def held_out(config, base):
@@ -53,7 +42,7 @@ def halves(recorder):
     ]
     for first in (0, 1):
         train, test = (list(chain(*logs[k::2])) for k in (first, 1 - first))
-        yield judged(recorder.config, Path(), train, test)
+        yield evaluate(trained_on(recorder.config, Path(), train), test)
 
 
 @pytest.mark.slow

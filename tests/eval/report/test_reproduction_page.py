@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from eval.report.figures import bars, free_runs, fused
+from eval.report.figures import free_runs, fused
 from eval.reproduce.study import (
     Claim,
     Study,
@@ -89,13 +89,10 @@ def test_figures_name_what_they_show():
     shown = fused(time_s, "N2_pct", {"noisy": np.ones(50), "truth": np.zeros(50)}, "caption")
     assert shown.caption == "caption"
     assert ">truth<" in shown.svg
-    grouped = bars(["No. 5"], {"one": np.array([3.0])}, "MSE", 5.0)
-    assert ">No. 5<" in grouped.svg
-    assert ">MSE<" in grouped.svg
 
 
 @pytest.mark.slow
 def test_a_browser_shows_the_page_without_complaint(header, view, sound_in_a_browser):
-    drawn = bars(["No. 5", "No. 6"], {"one": np.array([3.0, 4.0])}, "MSE", 5.0)
+    drawn = free_runs(np.arange(9.0), "N1_pct", np.zeros(9), {"one": np.ones(9)})
     whole = replace(study(claim(1.0), claim(9.0)), pictures=(drawn,), sheets=(view(),))
     sound_in_a_browser({"reproduce": reproduction_page(header, [whole])})

@@ -43,7 +43,8 @@ def plain(folder):
         "smooth": {"window": 3},
         "split": {"train": ["*"], "test": ["data_set_04*", "take_off_approach/*_02*"]},
         "narx": {"hidden": 2, "lags": 1, "lag_limits": False},
-        "train": {"horizons_s": [5.0, 30.0], "iterations": [1, 1], "local_trim": False},
+        "train": {"horizons_s": [5.0, 30.0], "iterations": [1, 1], "local_trim": False,
+                  "choice_s": 0.0},
     }  # fmt: skip
 
 
@@ -65,4 +66,4 @@ def data(flights, make_config):
 
 @pytest.fixture(scope="session")
 def effort():
-    return Effort((1, 1), 2, 1)
+    return Effort((1, 1), 1, 1)

@@ -1,5 +1,6 @@
 """Which logs are which data set, and what is refused."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -45,8 +46,8 @@ def test_missing_numbers_are_made_up_for_from_the_end(data):
     assert [data.number(log.name) for log in numbered(data, (2, 9, 10))] == [2, 3, 4]
 
 
-def test_too_few_data_sets_are_refused(tmp_path, write_set, make_config):
-    write_set(tmp_path, 1, 1)
+def test_too_few_data_sets_are_refused(tmp_path, flights, make_config):
+    shutil.copy(flights / "data_set_01.csv", tmp_path)
     with pytest.raises(DataError, match=r"at least 3 data sets, found 1.*One log of one engine"):
         read_data_sets(make_config(tmp_path), Path())
 
@@ -66,9 +67,8 @@ def test_outputs_without_a_speed_are_refused(flights, make_config):
         read_data_sets(config, Path())
 
 
-def test_a_truth_of_another_flight_is_refused(tmp_path, write_set, make_config):
-    for number in (1, 2, 3, 4):
-        write_set(tmp_path, number, number)
+def test_a_truth_of_another_flight_is_refused(tmp_path, flights, make_config):
+    shutil.copytree(flights, tmp_path, dirs_exist_ok=True)
     path = tmp_path / "truth" / "data_set_02.csv"
     pd.read_csv(path).iloc[:-40].to_csv(path, index=False)
     with pytest.raises(DataError, match="the truth has 1160 samples from 0 s, its log 1200 from 0"):

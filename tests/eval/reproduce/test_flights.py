@@ -41,7 +41,7 @@ def test_each_family_is_written_into_its_folder(monkeypatch):
 @pytest.mark.slow
 def test_the_table_takes_the_place_of_the_makers_function(tmp_path, make_config):
     by_function = make_config("elsewhere", steady_state=MAKER)
-    config, report = flown(by_function, Path(), tmp_path)
+    config = flown(by_function, Path(), tmp_path)
     section = config.steady_state
     assert with_table(by_function, tmp_path).steady_state == section
     assert (section.kind, section.source) == ("table", str(tmp_path / TABLE))
@@ -55,9 +55,7 @@ def test_the_table_takes_the_place_of_the_makers_function(tmp_path, make_config)
     bleed = np.tile([1.0, 0.0, 0.0], (200, 1))
     exact = maker_model(np.hstack([at, switches, bleed]))
     error = np.abs(table.outputs(np.hstack([at, switches])) - exact).max(axis=0)
-    largest = [output.max for output in report.measured.outputs]
-    assert (error <= 1.5 * np.array(largest) + 1e-9).all()
-    assert error[0] < 0.5
+    assert (error < [0.5, 0.7, 8.7]).all(), error  # 1.5 times those of these points
 
 
 def test_an_input_without_nodes_is_named(tmp_path, make_config):

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from data_prep.events import find_events
-from eval.reproduce.data import cut, pieces, trained_on_pieces, truth_of
+from eval.reproduce.data import cut, pieces, truth_of
 from eval.reproduce.recordings import best_window, correlation, errors, leading, segments, smoothing
 
 
@@ -109,6 +109,6 @@ def test_a_log_in_which_nothing_moves_stays_whole(data):
 
 
 def test_only_training_logs_are_cut(data):
-    found = trained_on_pieces(data.split, data.config.events)
+    found = data.training
     assert found.test == data.split.test
     assert len(found.train) > len(data.split.train)

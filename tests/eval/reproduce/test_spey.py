@@ -1,5 +1,7 @@
 """Studies of the Spey paper: claims of its tables, simulated engines."""
 
+import pandas as pd
+
 from eval.reproduce.spey import Trial, coverage, paper_study, truth
 
 
@@ -20,27 +22,20 @@ def test_what_the_papers_tables_bear_out_and_what_they_contradict():
     assert "C_HL -11 % (significant)" in four.remark
 
 
-def test_the_twin_differs_from_the_left_engine_in_tau_h_alone():
-    left, twin = truth("left"), truth("twin")
-    assert {name for name in left if left[name] != twin[name]} == {"tau_H", "tau_engine"}
-
-
 def test_coverage_counts_both_engines_and_pools_what_was_estimated():
-    exact = {engine: truth(engine) for engine in ("left", "right")}
+    names = ["tau_H", "alpha", "tau_engine"]
 
-    def estimates(errors):
-        return {
-            engine: {
-                name: (exact[engine][name] + error, 1.0)
-                for name, error in zip(("tau_H", "alpha", "tau_engine"), errors, strict=True)
-            }
-            for engine in exact
-        }
+    def trial(*errors):
+        """Off by so much; deviations of 1, and for coloured residuals such that alpha is missed."""
+        tables = {}
+        for engine in ("left", "right"):
+            value = [truth(engine)[name] + error for name, error in zip(names, errors, strict=True)]
+            tables[engine] = pd.DataFrame(
+                {"value": value, "sd": 1.0, "coloured": (2, -1, 2)}, names
+            )
+        return Trial(pd.concat(tables), {}, 1.0)
 
     # The half width of a 90 % interval is 1.645 standard deviations.
-    trials = [
-        Trial(estimates((1.64, 1.65, 9.0)), estimates((0.0, 9.0, 0.0)), {}, 1.0),
-        Trial(estimates((-1.64, 0.0, 0.0)), estimates((0.0, 9.0, 0.0)), {}, 1.0),
-    ]
+    trials = [trial(1.64, 1.65, 9.0), trial(-1.64, 0.0, 0.0)]
     assert coverage(trials) == {"tau_H": 100.0, "alpha": 50.0, "tau_engine": 50.0, "pooled": 75.0}
-    assert coverage(trials, coloured=True)["pooled"] == 50.0
+    assert coverage(trials, "coloured")["pooled"] == 50.0
