@@ -106,7 +106,7 @@ def judged():
 
 def test_a_sound_log_passes_and_states_its_evidence(judged):
     found = judged(lambda log: log)
-    assert found.missed() == []
+    assert found.missed == []
     assert found.outcome.exit_code == 0
     (evidence,) = [line for line in found.outcome.lines if line.startswith("Evidence: ")]
     assert "1 new log" in evidence
@@ -117,7 +117,7 @@ def test_a_sound_log_passes_and_states_its_evidence(judged):
 def test_no_way_to_an_undeserved_pass(judged, way):
     found = judged(WAYS[way])
     assert found.outcome.exit_code == 1
-    assert found.missed()
+    assert found.missed
     assert found.document()["ok"] is False
 
 

@@ -127,7 +127,7 @@ def test_what_is_missed_names_scheme_and_fold():
         fold("2", **{"rmse.N1_pct": 4.0, "assessed": 10, "passed": 9}),
     )
     found = CrossValidation(folds, EvaluateConfig(largest_rmse={"N1_pct": 5.0}))
-    assert found.missed() == [
+    assert found.missed == [
         "leave one flight out: 18 of 20 transients pass (90.0 %), at least 95 % have to",
         "leave one flight out, 1: N1_pct RMSE 6, at most 5 allowed",
     ]
@@ -137,7 +137,7 @@ def test_what_is_missed_names_scheme_and_fold():
 
 def test_a_scheme_without_an_assessed_transient_is_no_pass():
     found = CrossValidation((fold("1", assessed=0, passed=0),), EvaluateConfig())
-    assert found.missed() == ["leave one flight out: no transient could be assessed"]
+    assert found.missed == ["leave one flight out: no transient could be assessed"]
     assert found.outcome.exit_code == 1
 
 

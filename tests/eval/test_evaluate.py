@@ -71,7 +71,7 @@ def test_a_slow_model_is_a_dynamic_error_and_fails_its_events(make_bundle, make_
     assert (
         found["baselines"]["first_order"]["passed"] == found["baselines"]["first_order"]["assessed"]
     )
-    missed = evaluation.missed()[0]
+    missed = evaluation.missed[0]
     assert re.fullmatch(
         r"Ti/Tt: \d+ of \d+ transients pass \(50\.0 %\), at least 95 % have to", missed
     )
@@ -151,7 +151,7 @@ def test_a_training_log_earns_no_pass(make_bundle, make_log):
     found = evaluate(make_bundle(train=[used]), [copy])
     assert found.outcome.passed is None
     text = "new.csv:left: the model was trained on it under the name train.csv:left"
-    assert found.lacking() == [f"{text}; that earns no pass"]
+    assert found.lacking == [f"{text}; that earns no pass"]
     (row,) = found.document()["logs"]
     assert row["holds"] == {"log": "train.csv:left", "share": 1.0, "from_s": 0.0, "to_s": 239.9}
 
@@ -159,7 +159,7 @@ def test_a_training_log_earns_no_pass(make_bundle, make_log):
 def test_a_bound_on_the_error_is_missed_by_name(make_bundle, make_log):
     bundle = make_bundle(evaluate={"largest_rmse": {"N1_pct": 1.0, "N2_pct": 1.0}})
     evaluation = evaluate(bundle, [make_log(offset=(2.0, 0.0))])
-    assert evaluation.missed() == ["N1_pct: RMSE 1.99, at most 1 allowed"]
+    assert evaluation.missed == ["N1_pct: RMSE 1.99, at most 1 allowed"]
     assert evaluation.document()["ok"] is False
 
 
@@ -170,7 +170,7 @@ def test_a_bound_on_a_channel_that_is_not_there_is_refused(make_bundle, make_log
         "It gives N1_pct, N2_pct"
     )
     with pytest.raises(ConfigError, match=f"^{re.escape(expected)}$"):
-        evaluate(bundle, [make_log()]).missed()
+        evaluate(bundle, [make_log()]).document()
 
 
 def test_trim_takes_an_offset_away_and_scores_the_rest_only(make_bundle, make_log):
@@ -304,13 +304,13 @@ def test_a_bound_on_an_output_that_nobody_recorded_is_not_met(make_bundle, make_
     evaluation = evaluate(bundle, [without(make_log(), "N1_pct")])
     none = "N1_pct is not assessable, 0 % of it is judged (not recorded), at least 90 % have to be"
     least = "a verdict takes 3 of each that can be assessed"
-    assert evaluation.missed() == [
+    assert evaluation.missed == [
         "N1_pct: no sample to judge by, at most RMSE 1 allowed",
         f"flight.csv:left: {none}",
         f"Ti/Tt of engine left: no pushes in N1, no pulls in N1; {least}",
     ]
     both = evaluate(bundle, [make_log(), without(make_log(), "N1_pct")])
-    assert both.missed() == [f"flight.csv:left: {none}"]
+    assert both.missed == [f"flight.csv:left: {none}"]
 
 
 def test_what_lies_between_two_measurements_is_not_scored(make_bundle, make_log):
@@ -343,10 +343,10 @@ def with_levels(bundle, levels, lags=(0.0, 0.0, 0.0, 0.0), rmse=(0.0, 0.0)):
 def test_a_level_beyond_that_of_held_out_logs_fails_beside_right_times(make_bundle, make_log):
     levels = [0.3, -0.2, 0.4, -0.1]
     sound = evaluate(with_levels(make_bundle(), levels), [make_log()])
-    assert sound.missed() == []
+    assert sound.missed == []
     bundle = with_levels(make_bundle(), levels, rmse=(8.0, 0.1))
     wrong = evaluate(bundle, [make_log(offset=(-8.0, 0.1))])
-    (missed,) = wrong.missed()
+    (missed,) = wrong.missed
     assert re.fullmatch(
         r"flight.csv:left: level error of N1_pct \+8 %, [\d.]+ is the spread of 4 held-out "
         "training logs",
@@ -364,7 +364,7 @@ def test_a_level_beyond_that_of_held_out_logs_fails_beside_right_times(make_bund
 def test_with_few_held_out_logs_a_level_is_a_caution_with_its_size(make_bundle, make_log, levels):
     bundle = with_levels(make_bundle(), levels, rmse=(8.0, 0.1))
     found = evaluate(bundle, [make_log(offset=(-8.0, 0.1))])
-    assert found.missed() == []
+    assert found.missed == []
     (caution,) = found.level_cautions
     assert caution == (
         "flight.csv:left: level error of N1_pct +8 %, N2_pct -0.1 % is not judged: fewer than 3 "
