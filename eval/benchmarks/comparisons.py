@@ -15,8 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import lfilter
 
-from eval.judging.compare import Recording
-from eval.judging.significance import differences
+from eval.judging.significance import Recording, differences
 from narxcal.support.arrays import FloatArray
 
 DURATION_S, DT_S, MODELS, LARGER = 600.0, 0.5, 3, 1.5

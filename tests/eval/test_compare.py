@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from eval.benchmarks.comparisons import false_claims
-from eval.judging.compare import Recording, Row, compare
-from eval.judging.significance import pass_differences
+from eval.judging.compare import Row, compare
+from eval.judging.significance import Recording, pass_differences
 from eval.report.tables import comparison
 from narxcal.support.errors import DataError
 
