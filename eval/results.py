@@ -23,7 +23,6 @@ from typing import Protocol, TypeAlias, TypeVar
 import pandas as pd
 from matplotlib.figure import Figure
 
-from data_prep.equilibrium import while_running
 from data_prep.log import Log
 from data_prep.reading import read_logs
 from eval.judging.evaluate import Evaluation
@@ -34,8 +33,8 @@ from eval.preparation import (
     LogReport,
     cautions_about,
     events_table,
-    examine,
     pearson_table,
+    reports,
     windows_table,
 )
 from eval.report.figures import overlay_figure, recorded_figure
@@ -333,8 +332,7 @@ def prepare(data: Recordings | str | Path | RunConfig) -> PreparedLogs:
     `DataError` for a log without the driver or any output.
     """
     data = _recordings(data)
-    running = while_running(list(data.logs), data.config.running)
-    return PreparedLogs(tuple(examine(log, data.config) for log in running))
+    return PreparedLogs(tuple(reports(list(data.logs), data.config)))
 
 
 def train(

@@ -58,7 +58,6 @@ class EvaluateConfig(Section):
 
 
 def _flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Keys of nested tables joined by dots."""
     found: dict[str, Any] = {}
     for name, value in table.items():
         key = f"{prefix}{name}"

@@ -78,7 +78,6 @@ class Comparison:
 
     @property
     def significant(self) -> tuple[Difference, ...]:
-        """Those that may be claimed."""
         return tuple(one for one in self.differences if one.significant)
 
     @property
@@ -86,7 +85,6 @@ class Comparison:
         return self.recordings[0].channels
 
     def errors(self, channel: str) -> dict[str, float]:
-        """Run -> RMSE of a channel, of the runs that have one."""
         found = {row.run: row.channels.get(channel, {}).get("rmse", math.nan) for row in self.rows}
         return {run: value for run, value in found.items() if math.isfinite(value)}
 
@@ -181,7 +179,6 @@ def compare(
 
 
 def _units(found: Sequence[Difference]) -> list[str]:
-    """What the significance rests on."""
     if not found:
         return []
     few, most = min(one.units for one in found), max(one.units for one in found)
@@ -297,7 +294,6 @@ def _by_channel(run: FreeRun, name: str, channels: Sequence[str]) -> FloatArray:
 
 
 def _assessed(model: str, one: Recording, settings: TransientsConfig) -> list[Assessment]:
-    """Ti/Tt of a model over all events of a recording, in the channels that it has."""
     outputs = one.outputs[model]
     at = [k for k in range(len(one.channels)) if np.isfinite(outputs[:, k]).any()]
     channels = tuple(one.channels[k] for k in at)
@@ -345,7 +341,6 @@ def _row(run: Run, found: Sequence[FreeRun]) -> Row:
 
 
 def _coverage(found: Sequence[FreeRun]) -> float | None:
-    """Share of measurements within the interval of the free run; None without one."""
     inside = [
         (np.abs(error) <= one.half_width[one.scored])[np.isfinite(error)]
         for one in found

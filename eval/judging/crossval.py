@@ -80,7 +80,6 @@ class CrossValidation:
         return {name: tuple(f for f in self.folds if f.scheme == name) for name in names}
 
     def spread(self, scheme: str) -> dict[str, dict[str, float | None]]:
-        """As `spread`, over the folds of one scheme."""
         return spread(self.schemes[scheme])
 
     def remark(self, scheme: str) -> str:

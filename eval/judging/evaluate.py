@@ -60,7 +60,6 @@ class Evaluation:
 
     @property
     def tally(self) -> Tally:
-        """Ti/Tt over all logs and channels."""
         return tally(self.assessments)
 
     @cached_property
@@ -88,7 +87,6 @@ class Evaluation:
         ]
 
     def _hunting(self) -> list[str]:
-        """Say that the model does not settle at constant inputs."""
         found = self.certificate
         return [] if found is None or found.settled else [f"The model {found.words}"]
 
@@ -113,7 +111,6 @@ class Evaluation:
         ]
 
     def _unknown_errors(self) -> list[str]:
-        """Outputs of which the run does not say how large an error is usual."""
         checks = [each for one in self.logs for each in one.errors]
         unknown = dict.fromkeys(symbol(each.channel) for each in checks if each.usual is None)
         why = "the run has no record of errors on held-out logs: train it anew"
@@ -193,7 +190,6 @@ class Evaluation:
 
     @property
     def counts(self) -> list[Count]:
-        """Transients by channel and direction."""
         channels = dict.fromkeys(name for one in self.logs for name in one.run.channels)
         judged = [name for name in self.config.transients.channels if name in channels]
         return counts(self.assessments, judged)
@@ -210,7 +206,6 @@ class Evaluation:
         return [f"Ti/Tt: {found.passed} of {found.assessed} transients pass {share}"]
 
     def _wrong_levels(self) -> list[str]:
-        """Outputs whose level is beyond the spread of the held-out training logs."""
         return [
             f"{one.log.name}: level error of {words(each)}, {each.allowed:.3g} is the spread of "
             f"{each.held_out_logs} held-out training logs"
@@ -360,7 +355,6 @@ def _none_rated(rated: Sequence[str], outputs: Sequence[str]) -> str:
 
 
 def _against_baselines(one: LogEvaluation) -> str:
-    """In which channels the model beats every baseline, and in which it does not."""
     best = {name: (found.rmse, found.best_rmse) for name, found in one.scores.items()}
     won = [symbol(name) for name, (own, least) in best.items() if own == least]
     lost = [symbol(name) for name, (own, least) in best.items() if own > least]

@@ -63,12 +63,10 @@ class FreeRun:
 
     @property
     def model(self) -> FloatArray:
-        """The calibration's free run (time, channel)."""
         return self.outputs[MODEL]
 
     @property
     def steady(self) -> FloatArray:
-        """The steady-state model alone (time, channel)."""
         return self.outputs[STEADY_STATE]
 
     @property
@@ -141,7 +139,6 @@ def run_log(
 
 
 def _complete(log: Log, names: Sequence[str]) -> BoolArray:
-    """Rows (time,) at which every one of the named channels has a value."""
     return np.asarray(np.all([np.isfinite(log[name]) for name in names], axis=0))
 
 

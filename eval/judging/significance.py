@@ -97,7 +97,6 @@ class Difference:
 
     @property
     def significant(self) -> bool:
-        """Whether the claim is one of a table with 5 % false claims."""
         return self.p <= LEVEL
 
 
@@ -112,7 +111,6 @@ class PassDifference:
 
     @property
     def significant(self) -> bool:
-        """Whether the claim is one of a table with 5 % false claims."""
         return self.p <= LEVEL
 
 
@@ -256,7 +254,6 @@ def _p(r: FloatArray) -> float:
 
 
 def _holm(alone: FloatArray) -> FloatArray:
-    """P of the whole table from those of each test (Holm 1979)."""
     order = np.argsort(alone)
     found = np.empty_like(alone)
     factors = len(alone) - np.arange(len(alone))

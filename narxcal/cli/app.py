@@ -165,7 +165,6 @@ def _cluster(options: argparse.Namespace) -> Iterator[None]:
 
 
 def _output(module: ModuleType, options: argparse.Namespace) -> Path | None:
-    """Where a command writes: --out, or its own default place."""
     out = getattr(options, "out", None)
     if out is None and hasattr(module, "default_output"):
         out = module.default_output(options)

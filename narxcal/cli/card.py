@@ -132,7 +132,6 @@ def _read(channel: str, value: float, ways: str = "near") -> str:
 
 
 def _watched(card: Card, one: Step) -> str:
-    """Expected ranges of the outputs, with their limits."""
     words = []
     for name, low, high in zip(card.outputs, one.low.tolist(), one.high.tolist(), strict=True):
         most = card.limits.highest.get(name)
@@ -142,7 +141,6 @@ def _watched(card: Card, one: Step) -> str:
 
 
 def _gains(card: Card) -> Table:
-    """What the flight is expected to give, the most first."""
     rows = tuple(
         (Cell(name, "head"), figure(before), figure(after), Cell(what))
         for name, before, after, what in card.expected[:_MOST_ROWS]

@@ -48,7 +48,6 @@ def add_options(parser: ArgumentParser) -> None:
 
 
 def default_output(options: Namespace) -> Path:
-    """Where the results go without --out."""
     folder: Path = options.bundle / "evaluate"
     return folder
 

@@ -123,7 +123,6 @@ def _begin(out: Path) -> None:
 
 
 def _flown_before(folder: Path) -> bool:
-    """Whether the folder is one of our own flights."""
     return (folder / TABLE).is_file()
 
 
@@ -143,7 +142,6 @@ def _placed(config: RunConfig, base: Path, out: Path, options: Namespace) -> Run
 
 
 def _studied(data: DataSets, effort: Effort, console: Console) -> Reproduction:
-    """Run the studies with one progress bar for each thing that takes time."""
     with ExitStack() as stack:
         shown: dict[str, Any] = {}
 
