@@ -139,18 +139,11 @@ def score(runs: Sequence[FreeRun]) -> dict[str, ChannelScores]:
     """Score one log, or several as if they were one long recording.
 
     Of a channel slower than the sampling grid only measured samples count, not those interpolated
-    between them. Raises `DataError` without runs, or where they are of different channels.
+    between them. Raises `DataError` without runs.
     """
     if not runs:
         raise DataError("expected at least one log to score, found none")
-    channels = runs[0].channels
-    for one in runs:
-        if one.channels != channels:
-            raise DataError(
-                f"expected the channels {', '.join(channels)}, found {', '.join(one.channels)}",
-                file=one.log.name,
-            )
-    return {name: _of_channel(runs, k) for k, name in enumerate(channels)}
+    return {name: _of_channel(runs, k) for k, name in enumerate(runs[0].channels)}
 
 
 def _of_channel(runs: Sequence[FreeRun], k: int) -> ChannelScores:

@@ -4,27 +4,13 @@ The engine, its network and the logs are those of tests/eval: a model that is ex
 log passes. `../../docs/reliability.md` P12.
 """
 
-import importlib.util
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from data_prep.prepare import Preparation, prepare
 from eval.judging.evaluate import evaluate
 from eval.run_logs import EvaluateConfig
-
-
-def engine():
-    """The module of tests/eval that makes the engine, its logs and its bundles."""
-    file = Path(__file__).parents[1] / "eval" / "conftest.py"
-    spec = importlib.util.spec_from_file_location("engine_of_lags", file)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-ENGINE = engine()
+from tests.eval import conftest as ENGINE  # noqa: N812
 
 
 def steps(channel, change):

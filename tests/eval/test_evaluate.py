@@ -9,14 +9,19 @@ import numpy as np
 import pytest
 
 from eval.judging.evaluate import evaluate
-from eval.judging.scores import score
 from eval.run_logs import EvaluateConfig, run_config
 from narxcal.calibration.bundle import Bundle
 from narxcal.support.errors import ConfigError, DataError, ModelError
+from tests.eval.conftest import lag_bundle, lag_log
 
 
-def test_the_true_model_has_no_error_and_passes_every_event(make_bundle, make_log):
-    document = evaluate(make_bundle(), [make_log()]).document()
+@pytest.fixture(scope="module")
+def document():
+    """Of the true model and one log."""
+    return evaluate(lag_bundle(), [lag_log()]).document()
+
+
+def test_the_true_model_has_no_error_and_passes_every_event(document):
     (log,) = document["logs"]
     for figures in log["channels"].values():
         assert figures["rmse"] < 1e-9
@@ -30,8 +35,7 @@ def test_the_true_model_has_no_error_and_passes_every_event(make_bundle, make_lo
     assert document["missed"] == []
 
 
-def test_the_document_has_the_agreed_layout_and_is_json(make_bundle, make_log):
-    document = evaluate(make_bundle(), [make_log()]).document()
+def test_the_document_has_the_agreed_layout_and_is_json(document):
     assert json.loads(json.dumps(document, allow_nan=False)) == document
     assert document["schema"] == "narxcal.evaluate/1"
     (log,) = document["logs"]
@@ -130,19 +134,12 @@ def test_the_share_outside_the_envelope_is_shown(make_bundle, make_log):
     assert found["inputs"]["outside_envelope_share"] == pytest.approx(0.25)
 
 
-def test_logs_are_named_by_what_the_bundle_did_with_them(make_bundle, make_log):
-    used, other = make_log("train.csv:left"), make_log("other.csv:left", offset=(1.0, 0.5))
-    roles = [log.role for log in evaluate(make_bundle(train=[used]), [used, other]).logs]
-    assert roles == ["train", "new"]
-
-
 def test_samples_say_what_a_log_is_not_its_name_or_its_bytes(make_bundle, make_log):
-    used = make_log("train.csv:left")
+    used, other = make_log("train.csv:left"), make_log("train.csv:left", offset=(1.0, 0.5))
     same = replace(used, name="b.csv:left", source=replace(used.source, file="b", sha256="other"))
-    other = make_log("train.csv:left", offset=(1.0, 0.5))
     other = replace(other, source=replace(other.source, sha256="other"))
-    assert evaluate(make_bundle(train=[used]), [same]).logs[0].role == "train"
-    assert evaluate(make_bundle(train=[used]), [other]).logs[0].role == "new"
+    found = evaluate(make_bundle(train=[used]), [used, same, other])
+    assert [log.role for log in found.logs] == ["train", "train", "new"]
 
 
 def test_a_training_log_earns_no_pass(make_bundle, make_log):
@@ -218,20 +215,15 @@ def test_a_log_at_another_interval_is_refused(make_bundle, make_log):
         evaluate(make_bundle(), [log])
 
 
-def test_a_bundle_without_its_configuration_is_refused(make_bundle):
-    bare = Bundle(make_bundle().calibration)
+def test_a_bundle_whose_configuration_is_missing_or_wrong_is_refused(make_bundle):
     expected = "the bundle does not say how its logs were prepared. Train it with narxcal train"
     with pytest.raises(ModelError, match=f"^{re.escape(expected)}$"):
-        run_config(bare)
-
-
-def test_an_unknown_key_in_the_evaluate_table_names_the_nearest(make_bundle):
-    bundle = make_bundle(evaluate={"least_pased_pct": 90.0})
+        run_config(Bundle(make_bundle().calibration))
     expected = (
         "bundle.json, [evaluate]: unknown key 'least_pased_pct'. Did you mean 'least_passed_pct'?"
     )
     with pytest.raises(ConfigError, match=f"^{re.escape(expected)}$"):
-        run_config(bundle)
+        run_config(make_bundle(evaluate={"least_pased_pct": 90.0}))
 
 
 def test_without_baselines_the_rest_is_still_there(make_bundle, make_log):
@@ -253,14 +245,6 @@ def test_events_that_differ_only_in_the_response_are_counted_together(make_bundl
 def test_nothing_to_score_is_refused(make_bundle):
     with pytest.raises(DataError, match=r"^expected at least one log to score, found none$"):
         evaluate(make_bundle(), []).document()
-
-
-def test_logs_of_different_channels_are_not_pooled(make_bundle, make_log):
-    (found,) = evaluate(make_bundle(), [make_log()]).logs
-    other = replace(found.run, channels=("N1_pct", "EGT_C"))
-    expected = "flight.csv:left: expected the channels N1_pct, N2_pct, found N1_pct, EGT_C"
-    with pytest.raises(DataError, match=f"^{re.escape(expected)}$"):
-        score([found.run, other])
 
 
 def without(log, *names):
