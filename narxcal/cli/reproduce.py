@@ -9,7 +9,6 @@ from __future__ import annotations
 import shutil
 from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
-from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,6 @@ from eval.reproduce.citation_x import CONTRADICTIONS
 from eval.reproduce.citation_x import reproduce as citation_x
 from eval.reproduce.data import (
     TABLE,
-    DataSets,
     Effort,
     flown,
     paper_scenario,
@@ -75,7 +73,8 @@ def run(options: Namespace, console: Console) -> int:
     with console.progress("Reading the data sets"):
         data = read_data_sets(config, base)
     iterations, splits = QUICK if options.quick else ((), 10)
-    found = _studied(data, Effort(iterations, splits, options.jobs), console)
+    with console.progress("Studies") as advance:
+        found = reproduce(data, Effort(iterations, splits, options.jobs), advance)
     _write(out, found, options)
     _show_studies(console, found.studies, found.outcome)
     console.finish(_document(found, options), f"Page: {options.out / PAGE}")
@@ -139,20 +138,6 @@ def _placed(config: RunConfig, base: Path, out: Path, options: Namespace) -> Run
         return with_table(config, options.data) if _flown_before(options.data) else config
     write_records(out / FLIGHTS, paper_scenario(options.seed), options.jobs)
     return flown(config, base, out / FLIGHTS)[0]
-
-
-def _studied(data: DataSets, effort: Effort, console: Console) -> Reproduction:
-    with ExitStack() as stack:
-        shown: dict[str, Any] = {}
-
-        def progress(done: int, total: int, what: str = "") -> None:
-            if what not in shown:
-                stack.close()
-                shown[what] = stack.enter_context(console.progress(what))
-            if total:
-                shown[what](done, total)
-
-        return reproduce(data, effort, progress)
 
 
 def _document(found: Reproduction, options: Namespace) -> dict[str, Any]:

@@ -143,7 +143,7 @@ def shell():
     """Run the command as a user does, in a process of its own."""
 
     def run(*arguments, **options):
-        command = [sys.executable, "-m", "narxcal.cli", *map(str, arguments)]
+        command = [sys.executable, "-m", "narxcal", *map(str, arguments)]
         pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "env": environment()}
         return subprocess.run(command, text=True, check=False, **{**pipes, **options})
 
@@ -156,7 +156,7 @@ def start():
     with ExitStack() as stack:
 
         def run(*arguments):
-            command = [sys.executable, "-m", "narxcal.cli", *map(str, arguments)]
+            command = [sys.executable, "-m", "narxcal", *map(str, arguments)]
             pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "env": environment()}
             process = stack.enter_context(subprocess.Popen(command, text=True, **pipes))
             stack.callback(process.kill)

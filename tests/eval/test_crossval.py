@@ -128,8 +128,8 @@ def held(log):
             {"random_splits": 0},
             lambda logs: [without(logs[0], "N1_pct"), logs[1]],
             (
-                "channel N1_pct: without b.csv:left, no sample of this output is left to learn from. "
-                "Take it out of [narx] outputs, or add logs that have it"
+                "channel N1_pct: without b.csv:left, no sample of this output is left to learn "
+                "from. Take it out of [narx] outputs, or add logs that have it"
             ),
         ),
     ],
