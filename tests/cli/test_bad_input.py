@@ -90,40 +90,26 @@ def test_a_trained_model_is_never_trained_over(narxcal, project, bundle):
     refused(done, f"output folder {bundle} holds a trained model. Choose another name")
 
 
-TRIM = "argument --trim: expected a fraction from 0 to 0.9, found 1.5"
+BAD_LINES = {
+    "": "the following arguments are required: COMMAND. See narxcal --help",
+    "info": "the following arguments are required: RUN. See narxcal info --help",
+    "info run --jason": "unrecognized arguments: --jason. See narxcal --help",
+    "evaluate run --trim 1.5": "argument --trim: expected a fraction from 0 to 0.9, found 1.5. "
+    "See narxcal evaluate --help",
+    "evaluate run --trim much": "argument --trim: expected a fraction from 0 to 0.9, found much. "
+    "See narxcal evaluate --help",
+    "crossval c.toml --out d --jobs 0": "argument --jobs: expected a whole number of 1 or more, "
+    "found 0. See narxcal crossval --help",
+    "crossval c.toml --out d --jobs many": "argument --jobs: expected a whole number of 1 or "
+    "more, found many. See narxcal crossval --help",
+    "reproduce narx-paper --out d --seed -4": "argument --seed: expected a whole number of 0 or "
+    "more, found -4. See narxcal reproduce --help",
+}
 
 
-@pytest.mark.parametrize(
-    ("words", "message", "see"),
-    [
-        ("", "the following arguments are required: COMMAND", "narxcal"),
-        ("info", "the following arguments are required: RUN", "narxcal info"),
-        ("info run --jason", "unrecognized arguments: --jason", "narxcal"),
-        ("evaluate run --trim 1.5", TRIM, "narxcal evaluate"),
-        (
-            "evaluate run --trim much",
-            "argument --trim: expected a fraction from 0 to 0.9, found much",
-            "narxcal evaluate",
-        ),
-        (
-            "crossval c.toml --out d --jobs 0",
-            "argument --jobs: expected a whole number of 1 or more, found 0",
-            "narxcal crossval",
-        ),
-        (
-            "crossval c.toml --out d --jobs many",
-            "argument --jobs: expected a whole number of 1 or more, found many",
-            "narxcal crossval",
-        ),
-        (
-            "reproduce narx-paper --out d --seed -4",
-            "argument --seed: expected a whole number of 0 or more, found -4",
-            "narxcal reproduce",
-        ),
-    ],
-)
-def test_a_bad_command_line(narxcal, words, message, see):
-    refused(narxcal(*words.split()), f"{message}. See {see} --help")
+@pytest.mark.parametrize("words", BAD_LINES)
+def test_a_bad_command_line(narxcal, words):
+    refused(narxcal(*words.split()), BAD_LINES[words])
 
 
 def test_an_engine_that_the_log_does_not_have(narxcal, project, tmp_path):

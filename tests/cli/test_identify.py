@@ -185,17 +185,8 @@ def test_narx_is_train(project, narxcal, tmp_path):
 
 @pytest.mark.slow
 def test_crossval_identifies_in_every_fold(project, narxcal, tmp_path):
-    done = narxcal(
-        "crossval",
-        project,
-        "--method",
-        "transfer",
-        "--out",
-        tmp_path / "cv",
-        "--jobs",
-        "1",
-        "--json",
-    )
+    where = ("--out", tmp_path / "cv", "--jobs", "1", "--json")
+    done = narxcal("crossval", project, "--method", "transfer", *where)
     assert done.code in (0, 1), done.err
     (scheme,) = json.loads(done.out)["schemes"]
     assert len(scheme["folds"]) == 3
@@ -334,19 +325,10 @@ def method(name, **more):
     return RunConfig.parse({"identify": table, "steady_state": inputs})
 
 
-@pytest.mark.parametrize(
-    ("fit", "message"),
-    [
-        (
-            transfer,
-            "the steady state never moves in the training logs: no response can be identified",
-        ),
-        (subspace_model, "the steady state never moves in the training logs"),
-    ],
-)
-def test_an_input_that_never_moves_is_an_error(logs, fit, message):
+@pytest.mark.parametrize("fit", [transfer, subspace_model])
+def test_an_input_that_never_moves_is_an_error(logs, fit):
     held = [log.with_channels({"TRA_deg": np.full(len(log), 45.0)}) for log in logs]
-    with pytest.raises(Exception, match=message):
+    with pytest.raises(Exception, match="the steady state never moves in the training logs"):
         fit(method("narx"), Curves(), held)
 
 
