@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data_prep.log import Log, Source
-from eval.judging.outcome import plural
 from narxcal.channels import described
 from narxcal.cli.console import Console
 from narxcal.intervals import ENOUGH, LEVEL, HalfWidths
@@ -139,7 +138,7 @@ def interval_words(
     """Say what the interval of a model of the outputs `names` rests on, or that it has none."""
     if found is None:
         return "No interval: the model stores no errors of held-out logs"
-    logs = plural(found.pieces, "held-out log")
+    logs = f"{found.pieces} held-out log{'' if found.pieces == 1 else 's'}"
     few = ", so few that it is widened" if found.pieces < ENOUGH else ""
     pairs = zip(names, found.between, strict=False)
     levels = ", ".join(f"{name} {each:.2g} {described(name).unit}" for name, each in pairs)
