@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from narxcal.calibration.bundle import load_bundle
+from narxcal.cli import train
 
 FLIGHT = "flight_3.csv"
 
@@ -26,22 +26,30 @@ def refused(done, message):
     assert done.err == f"narxcal: error: {message}\n"
 
 
-def test_logs_of_mixed_rates_are_read_at_the_median_one_which_is_said(narxcal, project, tmp_path):
+def test_logs_of_mixed_rates_are_read_at_the_median_one_which_is_said(
+    narxcal, project, tmp_path, monkeypatch
+):
     shutil.copytree(project / "flights", tmp_path / "flights")
     file = tmp_path / "flights" / "flight_2.csv"
     pd.read_csv(file).iloc[::2].to_csv(file, index=False)
     text = (project / "tiny.toml").read_text("utf-8").replace("raster_hz = 8.0\n", "")
-    text = text.replace("[2, 2]", "[1, 1]\nchoice_s = 0.0\ndelay_s = 0.0")
     (tmp_path / "run.toml").write_text(text, "utf-8")
+    read = []
+
+    def stop(_config, _base, split, _options):
+        read.extend(log.dt_s for log in split.train)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(train, "calibrate", stop)
     done = narxcal("train", tmp_path / "run.toml", "--out", tmp_path / "run")
     files = [*(tmp_path / "flights").glob("*.csv")]
     intervals = [np.diff(pd.read_csv(one)["time_s"]).mean() for one in files]
-    assert done.code == 0
+    assert done.code == 130
     assert done.err == (
         "narxcal: warning: sampling intervals differ between logs: all are read every "
-        f"{np.median(intervals):g} s\n"
+        f"{np.median(intervals):g} s\nnarxcal: interrupted; nothing was written\n"
     )
-    assert load_bundle(tmp_path / "run").calibration.dt_s == pytest.approx(np.median(intervals))
+    assert read == pytest.approx([np.median(intervals)] * 2)
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -245,6 +245,17 @@ def test_a_log_that_is_named_twice_is_judged_once(project, narxcal, tmp_path):
     assert "fewer than 3 training logs were held out" in level
 
 
+@pytest.mark.slow
+def test_identify_by_narx_is_train(project, narxcal, tmp_path):
+    done = narxcal("identify", project / "tiny.toml", "--method", "narx", "--out", tmp_path / "run")
+    assert done.code == 0
+    runs = (project / "run", tmp_path / "run")
+    weights = [(run / "weights.safetensors").read_bytes() for run in runs]
+    assert weights[0] == weights[1]
+    document = strict((tmp_path / "run" / "identify.json").read_text("utf-8"))
+    assert (document["method"], document["parameters"]) == ("narx", {})
+
+
 @pytest.mark.usefixtures("training")
 def test_train_warns_of_patterns_that_name_no_log_and_of_logs_that_are_in_no_set(
     project, narxcal, tmp_path

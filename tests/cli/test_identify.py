@@ -174,16 +174,6 @@ def test_diagnose_takes_an_identified_run_as_the_simulator(
 
 
 @pytest.mark.slow
-def test_narx_is_train(project, narxcal, tmp_path):
-    assert narxcal("identify", project, "--method", "narx", "--out", tmp_path / "a").code == 0
-    assert narxcal("train", project, "--out", tmp_path / "b").code == 0
-    weights = [(tmp_path / name / "weights.safetensors").read_bytes() for name in "ab"]
-    assert weights[0] == weights[1]
-    document = json.loads((tmp_path / "a" / "identify.json").read_text("utf-8"))
-    assert (document["method"], document["parameters"]) == ("narx", {})
-
-
-@pytest.mark.slow
 def test_crossval_identifies_in_every_fold(project, narxcal, tmp_path):
     where = ("--out", tmp_path / "cv", "--jobs", "1", "--json")
     done = narxcal("crossval", project, "--method", "transfer", *where)
