@@ -60,6 +60,7 @@ def test_a_log_of_another_rate_is_put_on_the_model_s_raster(narxcal, project, fl
     assert json.loads(done.out)["logs"][0]["dt_s"] == pytest.approx(0.125)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_constant_lever_gives_no_events_and_no_pass(narxcal, project, flight, tmp_path):
     file = tmp_path / "still.csv"
     flight.assign(TRA_deg=30.0).to_csv(file, index=False)

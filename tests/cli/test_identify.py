@@ -139,6 +139,7 @@ def test_subspace_finds_the_time_constants_of_all_outputs(logs):
     assert all(row["sd"] is None for row in found.parameters.values())
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("name", ["output-error", "transfer", "subspace", "polynomial"])
 def test_every_command_takes_every_run(runs, narxcal, tmp_path, name):
     run, log = runs / name, runs.parent / "flights" / "flight_3.csv"
