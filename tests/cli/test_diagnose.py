@@ -21,28 +21,6 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def case(slow_probe, tmp_path_factory):
-    """Three flights with a probe that lags by 1.2 s, one held out, and the same without it."""
-    folder = tmp_path_factory.mktemp("case")
-    for seed in range(4):
-        real, sim = slow_probe(seed, 200.0, stay_s=20.0)
-        held = "_held" if seed == 3 else ""
-        for kind, table in (("sim", sim), ("real", real)):
-            (folder / f"{kind}{held}").mkdir(exist_ok=True)
-            table.to_csv(folder / f"{kind}{held}" / f"f{seed}.csv", index=False)
-    return folder
-
-
-@pytest.fixture(scope="module")
-def diagnosed(case):
-    held = ["--heldout-real", str(case / "real_held"), "--heldout-sim", str(case / "sim_held")]
-    where = ["--real", str(case / "real"), "--sim", str(case / "sim")]
-    out = ["--out", str(case / "gap"), "--quiet"]
-    assert main(["diagnose", *where, *held, *out]) == 0
-    return case / "gap"
-
-
-@pytest.fixture(scope="module")
 def document(diagnosed):
     return json.loads((diagnosed / "gap.json").read_text("utf-8"))
 
