@@ -11,7 +11,6 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from eval import terminal
 from eval.judging.outcome import Outcome
@@ -75,9 +74,12 @@ def run(options: Namespace, console: Console) -> int:
     iterations, splits = QUICK if options.quick else ((), 10)
     with console.progress("Studies") as advance:
         found = reproduce(data, Effort(iterations, splits, options.jobs), advance)
-    _write(out, found, options)
+    document = {**found.document(), "complete": True, "quick": options.quick, "seed": options.seed}
+    write_bundle(out / MODEL, found.bundle)
+    atomic_write_text(out / PAGE, reproduction_page(_header(found, options), found.studies))
+    atomic_write_text(out / DOCUMENT, to_json(document))
     _show_studies(console, found.studies, found.outcome)
-    console.finish(_document(found, options), f"Page: {options.out / PAGE}")
+    console.finish(document, f"Page: {options.out / PAGE}")
     return found.outcome.exit_code
 
 
@@ -138,17 +140,6 @@ def _placed(config: RunConfig, base: Path, out: Path, options: Namespace) -> Run
         return with_table(config, options.data) if _flown_before(options.data) else config
     write_records(out / FLIGHTS, paper_scenario(options.seed), options.jobs)
     return flown(config, base, out / FLIGHTS)[0]
-
-
-def _document(found: Reproduction, options: Namespace) -> dict[str, Any]:
-    return {**found.document(), "complete": True, "quick": options.quick, "seed": options.seed}
-
-
-def _write(out: Path, found: Reproduction, options: Namespace) -> None:
-    write_bundle(out / MODEL, found.bundle)
-    html = reproduction_page(_header(found, options), found.studies)
-    atomic_write_text(out / PAGE, html)
-    atomic_write_text(out / DOCUMENT, to_json(_document(found, options)))
 
 
 def _header(found: Reproduction, options: Namespace) -> RunHeader:
