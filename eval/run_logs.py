@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 from pydantic import Field
 
 from data_prep.cleaning.identity import duplicates
@@ -48,21 +49,16 @@ class EvaluateConfig(Section):
     @property
     def changed(self) -> dict[str, tuple[Any, Any]]:
         """Settings that differ from their defaults, but for `crossval`: name -> value, default."""
-        own, default = (_flat(one.model_dump(mode="json")) for one in (self, EvaluateConfig()))
-        pairs = {name: (own.get(name), default.get(name)) for name in {**default, **own}}
+        own, default = (
+            pd.json_normalize(one.model_dump(mode="json")).to_dict("records")[0]
+            for one in (self, EvaluateConfig())
+        )
+        pairs = {str(name): (own.get(name), default.get(name)) for name in {**default, **own}}
         return {
             name: pair
             for name, pair in pairs.items()
             if pair[0] != pair[1] and not name.startswith("crossval.")
         }
-
-
-def _flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for name, value in table.items():
-        key = f"{prefix}{name}"
-        found |= _flat(value, f"{key}.") if isinstance(value, dict) else {key: value}
-    return found
 
 
 def run_config(bundle: Bundle) -> tuple[RunConfig, EvaluateConfig]:
