@@ -21,23 +21,18 @@ if TYPE_CHECKING:
     from narxcal.calibration.run_record import RunRecord, SteadyRecord
 
 
-def read_config(path: str, data: Path | None) -> tuple[RunConfig, Path]:
-    """Read CONFIG; `data` takes the place of `[logs] folder`.
+def read_config(path: str, data: Path | None, method: str | None = None) -> tuple[RunConfig, Path]:
+    """Read CONFIG; `data` takes the place of `[logs] folder`, `method` of that of `[identify]`.
 
     Returns the configuration and the folder that its paths are relative to; raises
     `ConfigError` as `load_config`.
     """
     config, base = load_config(path)
+    if method is not None:
+        table = {**config.identify.model_dump(), "method": method}
+        section = IdentifyConfig.parse(table, options={"method": f"--method {method}"})
+        config = config.model_copy(update={"identify": section})
     return config if data is None else config.with_logs_in(data), base
-
-
-def with_method(config: RunConfig, method: str | None) -> RunConfig:
-    """Return the configuration with [identify] method, if one is given; raises `ConfigError`."""
-    if method is None:
-        return config
-    table = {**config.identify.model_dump(), "method": method}
-    section = IdentifyConfig.parse(table, options={"method": f"--method {method}"})
-    return config.model_copy(update={"identify": section})
 
 
 def logs_for(
