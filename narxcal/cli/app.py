@@ -144,7 +144,7 @@ def _run(options: argparse.Namespace) -> int:
     logging.getLogger("narxcal").addHandler(warnings)
     try:
         module = import_module(f"narxcal.cli.{options.command}")
-        with _alone(_output(module, options)), _cluster(options):
+        with _alone(module, options), _cluster(options):
             code: int = module.run(options, console)
     finally:
         logging.getLogger("narxcal").removeHandler(warnings)
@@ -164,20 +164,16 @@ def _cluster(options: argparse.Namespace) -> Iterator[None]:
         yield
 
 
-def _output(module: ModuleType, options: argparse.Namespace) -> Path | None:
-    out = getattr(options, "out", None)
-    if out is None and hasattr(module, "default_output"):
-        out = module.default_output(options)
-    return out if isinstance(out, Path) else None  # what is not of this machine can't be locked
-
-
 @contextmanager
-def _alone(out: Path | None) -> Iterator[None]:
+def _alone(module: ModuleType, options: argparse.Namespace) -> Iterator[None]:
     """Let no two commands write one output; raises `ConfigError` before any work."""
     from narxcal.support.files import in_place  # noqa: PLC0415 -- help does not wait for numpy
 
+    out = getattr(options, "out", None)
+    if out is None and hasattr(module, "default_output"):
+        out = module.default_output(options)
     with ExitStack() as stack:
-        if out is not None and not in_place(out):
+        if isinstance(out, Path) and not in_place(out):  # an address elsewhere can't be locked
             with suppress(OSError):  # the command says what is wrong with the place
                 stack.enter_context(locked(out))
         yield
