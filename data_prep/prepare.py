@@ -50,6 +50,7 @@ class Preparation(Section):
     quasi_steady: QuasiSteadyConfig = QuasiSteadyConfig()
 
     def named_channels(self) -> tuple[str, ...]:
+        """Channels that the tables name, which have to be built in or declared."""
         return tuple(self.running.above)
 
     @model_validator(mode="after")
@@ -167,6 +168,7 @@ def _lines(group: Sequence[LogWarning]) -> Iterator[str]:
 
 
 def _crowded(log: Log) -> str:
+    """Warn of a log that lost many rows to equal stamps."""
     lost: dict[str, int] = {}
     for entry in log.audit.entries:
         if entry.reason == "duplicate time stamp":
@@ -252,6 +254,7 @@ def _unrecorded(log: Log, outputs: Sequence[str], config: LogsConfig) -> str:
 
 
 def _column(name: str, config: LogsConfig, engine: str) -> str:
+    """Name the column, if it is not the channel's own name."""
     if name not in config.columns:
         return ""
     column = config.columns[name].column.replace(ENGINE, config.engines.get(engine, ""))
