@@ -201,7 +201,6 @@ class LogsConfig(Section):
 
     @cached_property
     def declared(self) -> Mapping[str, Channel]:
-        """Channels of `[logs.channels]` by name."""
         return {name: each.named(name) for name, each in self.channels.items()}
 
     def channel(self, name: str) -> Channel:
@@ -266,7 +265,6 @@ class LogsConfig(Section):
 
     @property
     def time_column(self) -> str:
-        """Header of the column that holds the time stamps."""
         return self.columns["time_s"].column if self.columns else "time_s"
 
     def for_inputs(self, names: Collection[str]) -> Self:
@@ -282,7 +280,6 @@ class LogsConfig(Section):
         return self.model_copy(update={"columns": columns})
 
     def every(self, dt_s: float) -> Self:
-        """The same with logs on a sampling grid of `dt_s`."""
         return self.model_copy(update={"raster_hz": 1.0 / dt_s})
 
     def sources(self, header: tuple[str, ...]) -> dict[str, ColumnSource]:

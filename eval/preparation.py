@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -12,6 +12,7 @@ import pandas as pd
 from data_prep.cleaning.clean import clean
 from data_prep.cleaning.plausibility import checked, of_cleaning
 from data_prep.cleaning.smooth import compare_windows, frequency_response, moving_average, smooth
+from data_prep.equilibrium import while_running
 from data_prep.events import PUSH, Event
 from data_prep.log import Log
 from data_prep.prepare import LogWarning, Prepared, in_lines
@@ -99,6 +100,17 @@ def most_to_show(logs: Sequence[LogReport], count: int) -> list[int]:
     return sorted(k for _, _, k in ranked_logs[:count])
 
 
+def reports(logs: list[Log], config: RunConfig) -> Iterator[LogReport]:
+    """Leave out where the engine does not run, and describe what is left as `examine`.
+
+    Empties `logs`, so that no more than one of them takes memory twice.
+    """
+    running = while_running(logs, config.running)
+    logs.clear()
+    while running:
+        yield examine(running.pop(0), config)
+
+
 def examine(raw: Log, config: RunConfig) -> LogReport:
     """Clean and smooth `raw` by the tables of `config`, and describe the result.
 
@@ -131,13 +143,11 @@ def examine(raw: Log, config: RunConfig) -> LogReport:
 
 
 def cautions_about(logs: Sequence[LogReport]) -> list[str]:
-    """Word the warnings and findings about logs."""
     warned = in_lines(warning for one in logs for warning in one.warnings)
     return [*warned, *(each.caution for one in logs for each in one.log.findings)]
 
 
 def events_table(logs: Sequence[LogReport]) -> pd.DataFrame:
-    """One row per event of all logs."""
     events = [event for one in logs for event in one.events]
     columns = [*Event.__dataclass_fields__]
     return pd.DataFrame({name: [getattr(event, name) for event in events] for name in columns})
@@ -156,7 +166,6 @@ def pearson_table(logs: Sequence[LogReport]) -> pd.DataFrame:
 
 
 def windows_table(logs: Sequence[LogReport]) -> pd.DataFrame:
-    """One row per log, channel and window."""
     return pd.concat([one.windows.assign(log=one.log.name) for one in logs], ignore_index=True)
 
 

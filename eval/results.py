@@ -12,8 +12,8 @@ columns' names or those of the channels. A log of a result is `result[0]` or `re
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass
 from fnmatch import fnmatch
 from functools import cached_property
 from glob import glob, has_magic
@@ -23,12 +23,9 @@ from typing import Protocol, TypeAlias, TypeVar
 import pandas as pd
 from matplotlib.figure import Figure
 
-from data_prep.cleaning.identity import duplicates
-from data_prep.equilibrium import while_running
 from data_prep.log import Log
-from data_prep.prepare import cautions
 from data_prep.reading import read_logs
-from eval.judging.evaluate import Evaluation, outside_envelopes
+from eval.judging.evaluate import Evaluation
 from eval.judging.evaluate import evaluate as evaluate_logs
 from eval.judging.log_evaluation import LogEvaluation, assess_log
 from eval.judging.outcome import Outcome
@@ -36,14 +33,14 @@ from eval.preparation import (
     LogReport,
     cautions_about,
     events_table,
-    examine,
     pearson_table,
+    reports,
     windows_table,
 )
 from eval.report.figures import overlay_figure, recorded_figure
 from eval.report.tables import Shown, Summary
 from eval.report.view import LogView, view_of
-from eval.run_logs import evaluation_logs, run_config
+from eval.run_logs import logs_of, run_config
 from narxcal.calibration.bundle import Bundle, load_bundle, save_bundle
 from narxcal.calibration.run_record import ScreeningRecord
 from narxcal.support.errors import ConfigError, DataError
@@ -241,7 +238,7 @@ class Judgement(_Drawn):
     evaluation: Evaluation
     cautions: tuple[str, ...]
 
-    @cached_property
+    @property
     def outcome(self) -> Outcome:
         """Pass, fail or open, and why."""
         return self.evaluation.outcome
@@ -335,8 +332,7 @@ def prepare(data: Recordings | str | Path | RunConfig) -> PreparedLogs:
     `DataError` for a log without the driver or any output.
     """
     data = _recordings(data)
-    running = while_running(list(data.logs), data.config.running)
-    return PreparedLogs(tuple(examine(log, data.config) for log in running))
+    return PreparedLogs(tuple(reports(list(data.logs), data.config)))
 
 
 def train(
@@ -380,82 +376,5 @@ def evaluate(
     said: list[str] = []
     chosen = data.files if isinstance(data, Recordings) else None if data is None else _listed(data)
     logs = logs_of(bundle, chosen, None, said.append)
-    found = judge(bundle, logs, trim)
-    return replace(found, cautions=(*said, *found.cautions))
-
-
-def judge(
-    bundle: Bundle, logs: Sequence[Log], trim: float | None = None, progress: Progress = silent
-) -> Judgement:
-    """Evaluate prepared logs one by one, with what a reader of the figures has to know."""
-    config, _ = run_config(bundle)
-    found = evaluate_logs(bundle, logs, trim or None, progress=progress)
-    said = (
-        *bundle.record.doubtful_logs,
-        *cautions(logs, config, config.narx.outputs),
-        *(each.caution for each in found.findings),
-        *found.level_cautions,
-        *outside_envelopes(bundle, found),
-    )
-    return Judgement(bundle, found, said)
-
-
-def logs_of(
-    bundle: Bundle, files: Sequence[Path] | None, data: Path | None, warn: Callable[[str], None]
-) -> list[Log]:
-    """Read `files`, or the held-out logs of a run; `data` says where the latter are now.
-
-    Warns of a held-out log whose file has changed since the training. Raises `DataError`.
-    """
-    if files:
-        return _distinct(evaluation_logs(bundle, _once(files, warn)), warn)
-    logs = _distinct(_held_out(bundle, data), warn)
-    if not bundle.record.logs("test"):
-        warn("no log was held out: these are logs that the model was trained on")
-    for text in changed(bundle, logs):
-        warn(text)
-    return logs
-
-
-def _once(files: Sequence[Path], warn: Callable[[str], None]) -> list[Path]:
-    """Each file once: a log that is judged twice would count twice in pooled figures."""
-    chosen = list({file.resolve(): file for file in files}.values())
-    if len(chosen) < len(files):
-        warn("a file that is named twice is read once")
-    return chosen
-
-
-def _distinct(logs: list[Log], warn: Callable[[str], None]) -> list[Log]:
-    """Each recording once, under whatever names it is stored."""
-    found = duplicates(logs)
-    for shared in found:
-        warn(f"{shared.words}; it counts once")
-    return [log for log in logs if log.name not in {shared.log for shared in found}]
-
-
-def changed(bundle: Bundle, logs: Sequence[Log]) -> list[str]:
-    """Warnings about logs whose files have changed since the training."""
-    known = {Path(file).name: digest for file, digest in bundle.record.data.items()}
-    found = {log.source.file: log.source.sha256 for log in logs}
-    return [
-        f"{file}: the file has changed since the training: sha256 was "
-        f"{known[Path(file).name][:12]}, is {digest[:12]}"
-        for file, digest in found.items()
-        if known.get(Path(file).name, digest) != digest
-    ]
-
-
-def _held_out(bundle: Bundle, data: Path | None) -> list[Log]:
-    try:
-        return evaluation_logs(_moved(bundle, data) if data else bundle)
-    except DataError as error:
-        if not (error.hint or "").startswith(("Set [logs] folder", "Set [logs] files")):
-            raise
-        hint = "Name their folder by --data, or other logs by --logs"
-        raise DataError(error.problem, file=error.file, hint=hint) from None
-
-
-def _moved(bundle: Bundle, data: Path) -> Bundle:
-    config = bundle.record.config
-    logs = {**config.get("logs", {}), "folder": str(data.resolve())}
-    return replace(bundle, record=bundle.record.having(config={**config, "logs": logs}))
+    found = evaluate_logs(bundle, logs, trim or None)
+    return Judgement(bundle, found, (*said, *found.cautions))

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import pandas as pd
 from pydantic import Field
 
+from data_prep.cleaning.identity import duplicates
 from data_prep.log import Finding, Log
 from data_prep.prepare import prepare, with_outputs
 from data_prep.reading import read_logs
@@ -41,6 +45,20 @@ class EvaluateConfig(Section):
     largest_rmse: Mapping[str, float] = Field(default_factory=dict)
     least_events: int = Field(default=3, ge=0)
     least_judged_pct: float = Field(default=90.0, ge=0.0, le=100.0)
+
+    @property
+    def changed(self) -> dict[str, tuple[Any, Any]]:
+        """Settings that differ from their defaults, but for `crossval`: name -> value, default."""
+        own, default = (
+            pd.json_normalize(one.model_dump(mode="json")).to_dict("records")[0]
+            for one in (self, EvaluateConfig())
+        )
+        pairs = {str(name): (own.get(name), default.get(name)) for name in {**default, **own}}
+        return {
+            name: pair
+            for name, pair in pairs.items()
+            if pair[0] != pair[1] and not name.startswith("crossval.")
+        }
 
 
 def run_config(bundle: Bundle) -> tuple[RunConfig, EvaluateConfig]:
@@ -110,3 +128,64 @@ def bank_of(bundle: Bundle) -> Bank | None:
     """The bank that the bundle's training logs taught; None for a bundle without one."""
     stored = bundle.record.redundancy
     return Bank.from_json(stored) if stored else None
+
+
+def logs_of(
+    bundle: Bundle, files: Sequence[Path] | None, data: Path | None, warn: Callable[[str], None]
+) -> list[Log]:
+    """Read `files`, or the held-out logs of a run; `data` says where the latter are now.
+
+    Warns of a held-out log whose file has changed since the training. Raises `DataError`.
+    """
+    if files:
+        return _distinct(evaluation_logs(bundle, _once(files, warn)), warn)
+    logs = _distinct(_held_out(bundle, data), warn)
+    if not bundle.record.logs("test"):
+        warn("no log was held out: these are logs that the model was trained on")
+    for text in changed_files(bundle, logs):
+        warn(text)
+    return logs
+
+
+def _once(files: Sequence[Path], warn: Callable[[str], None]) -> list[Path]:
+    """Each file once: a log that is judged twice would count twice in pooled figures."""
+    chosen = list({file.resolve(): file for file in files}.values())
+    if len(chosen) < len(files):
+        warn("a file that is named twice is read once")
+    return chosen
+
+
+def _distinct(logs: list[Log], warn: Callable[[str], None]) -> list[Log]:
+    """Each recording once, under whatever names it is stored."""
+    found = duplicates(logs)
+    for shared in found:
+        warn(f"{shared.words}; it counts once")
+    return [log for log in logs if log.name not in {shared.log for shared in found}]
+
+
+def changed_files(bundle: Bundle, logs: Sequence[Log]) -> list[str]:
+    """Warnings about logs whose files have changed since the training."""
+    known = {Path(file).name: digest for file, digest in bundle.record.data.items()}
+    found = {log.source.file: log.source.sha256 for log in logs}
+    return [
+        f"{file}: the file has changed since the training: sha256 was "
+        f"{known[Path(file).name][:12]}, is {digest[:12]}"
+        for file, digest in found.items()
+        if known.get(Path(file).name, digest) != digest
+    ]
+
+
+def _held_out(bundle: Bundle, data: Path | None) -> list[Log]:
+    try:
+        return evaluation_logs(_moved(bundle, data) if data else bundle)
+    except DataError as error:
+        if not (error.hint or "").startswith(("Set [logs] folder", "Set [logs] files")):
+            raise
+        hint = "Name their folder by --data, or other logs by --logs"
+        raise DataError(error.problem, file=error.file, hint=hint) from None
+
+
+def _moved(bundle: Bundle, data: Path) -> Bundle:
+    config = bundle.record.config
+    logs = {**config.get("logs", {}), "folder": str(data.resolve())}
+    return replace(bundle, record=bundle.record.having(config={**config, "logs": logs}))

@@ -115,7 +115,6 @@ def _transient_cells(found: Sequence[Assessment]) -> list[Text]:
 
 
 def print_outcome(console: Console, outcome: Outcome) -> None:
-    """Print the verdict in one line, then the sentences that explain it."""
     word, look = _WORDS[outcome.passed]
     console.print(Text.assemble((word, look), f"  {outcome.headline}"))
     for line in outcome.lines:

@@ -72,7 +72,7 @@ def test_the_wheel_holds_no_tests_and_no_logs(wheel):
 
 def test_the_command_works_away_from_the_checkout(installed):
     assert str(installed) in away(installed, "-c", "import narxcal; print(narxcal.__file__)")
-    commands = away(installed, "-m", "narxcal.cli", "--help")
+    commands = away(installed, "-m", "narxcal", "--help")
     for name in ("demo", "prepare", "train", "evaluate", "crossval", "replay", "simulate", "info"):
         assert name in commands
 

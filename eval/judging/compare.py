@@ -9,12 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from data_prep.events import Event, find_events
+from data_prep.events import find_events
 from data_prep.log import Log
 from eval.judging.free_run import ARX, FIRST_ORDER, MODEL, STEADY_STATE, FreeRun, run_log
 from eval.judging.scores import max_relative_percent, nrmse, rmse
@@ -22,15 +23,17 @@ from eval.judging.significance import (
     LEVEL,
     Difference,
     PassDifference,
+    Recording,
     differences,
     pass_differences,
 )
 from eval.report.style import number
-from eval.run_logs import run_config
+from eval.run_logs import EvaluateConfig, run_config
 from narxcal.calibration.bundle import Bundle
-from narxcal.support.arrays import BoolArray, FloatArray
+from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
 from narxcal.support.files import finite, versions
+from training.config import RunConfig
 from training.dynamics.baselines import Baselines
 from training.responses.transients import (
     Assessment,
@@ -43,24 +46,6 @@ from training.responses.transients import (
 
 SCHEMA = "narxcal.compare/1"
 _NAMES = {STEADY_STATE: "steady state", FIRST_ORDER: "first-order lag", ARX: "ARX"}
-
-
-@dataclass(frozen=True, eq=False)
-class Recording:
-    """One log: measured (time, channel) and the free run of every model.
-
-    A model gives NaN for a channel that it does not have. `scored` (time,) are the rows that count,
-    `events` those to judge Ti and Tt by. Recordings of one `flight` are no independent evidence.
-    """
-
-    name: str
-    time_s: FloatArray
-    channels: tuple[str, ...]
-    measured: FloatArray
-    outputs: Mapping[str, FloatArray]
-    scored: BoolArray
-    events: tuple[Event, ...] = ()
-    flight: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +78,6 @@ class Comparison:
 
     @property
     def significant(self) -> tuple[Difference, ...]:
-        """Those that may be claimed."""
         return tuple(one for one in self.differences if one.significant)
 
     @property
@@ -101,7 +85,6 @@ class Comparison:
         return self.recordings[0].channels
 
     def errors(self, channel: str) -> dict[str, float]:
-        """Run -> RMSE of a channel, of the runs that have one."""
         found = {row.run: row.channels.get(channel, {}).get("rmse", math.nan) for row in self.rows}
         return {run: value for run, value in found.items() if math.isfinite(value)}
 
@@ -119,18 +102,9 @@ class Comparison:
             if len(known) < 2:
                 continue
             best = min(known, key=lambda run: known[run])
-            worse = {
-                one.worse for one in self.significant if one.channel == name and one.better == best
-            }
-            close = [run for run in known if run != best and run not in worse]
+            own = [one for one in self.differences if (one.channel, one.better) == (name, best)]
             text = f"{name}: least {best} ({number(known[best])})"
-            if worse:
-                text += f"; significantly more: {', '.join(run for run in known if run in worse)}"
-            if close:
-                text += f"; not significantly different: {', '.join(close)}"
-                text += _power([one for one in self.differences
-                                if one.channel == name and one.better == best])  # fmt: skip
-            lines.append(text)
+            lines.append(text + _others(list(known), best, own, "more", _power(own)))
         return lines
 
     def _passes(self) -> str:
@@ -138,14 +112,9 @@ class Comparison:
         if len(judged) < 2:
             return ""
         most = max(judged, key=lambda run: judged[run].passed)
-        fewer = {each.worse for each in self.passes if each.significant and each.better == most}
-        close = [run for run in judged if run not in {most, *fewer}]
+        own = [each for each in self.passes if each.better == most]
         text = f"Ti and Tt: most {most} ({judged[most].passed} of {judged[most].assessed} passed)"
-        if fewer:
-            text += f"; significantly fewer: {', '.join(run for run in judged if run in fewer)}"
-        if close:
-            text += f"; not significantly different: {', '.join(close)}"
-        return text
+        return text + _others(list(judged), most, own, "fewer")
 
     def document(self) -> dict[str, Any]:
         """`compare.json`; None where a figure does not exist."""
@@ -165,6 +134,21 @@ class Comparison:
             "versions": versions(),
         })  # fmt: skip
         return found
+
+
+def _others(
+    runs: Sequence[str],
+    best: str,
+    found: Sequence[Difference | PassDifference],
+    how: str,
+    power: str = "",
+) -> str:
+    """Which of the runs do significantly worse than the best one, and which do not."""
+    worse = {each.worse for each in found if each.significant}
+    named = ", ".join(run for run in runs if run in worse)
+    close = ", ".join(run for run in runs if run not in {best, *worse})
+    text = f"; significantly {how}: {named}" if worse else ""
+    return f"{text}; not significantly different: {close}{power}" if close else text
 
 
 _TELLING: Final = 1e-3  # models that differ by a thousand need no test
@@ -195,7 +179,6 @@ def compare(
 
 
 def _units(found: Sequence[Difference]) -> list[str]:
-    """What the significance rests on."""
     if not found:
         return []
     few, most = min(one.units for one in found), max(one.units for one in found)
@@ -236,6 +219,10 @@ class Run:
     bundle: Bundle
     logs: tuple[Log, ...]
 
+    @cached_property
+    def tables(self) -> tuple[RunConfig, EvaluateConfig]:
+        return run_config(self.bundle)
+
 
 def compare_runs(runs: Sequence[Run]) -> Comparison:
     """Compare runs on the logs that all of them have.
@@ -258,7 +245,7 @@ def compare_runs(runs: Sequence[Run]) -> Comparison:
     rows = [_row(run, found[run.name]) for run in runs]
     if lead.bundle.record.baselines is not None:
         rows += _baseline_rows(Baselines.from_json(lead.bundle.record.baselines))
-    settings = run_config(lead.bundle)[1].transients
+    settings = lead.tables[1].transients
     judged = {row.run: [_assessed(row.run, one, settings) for one in recordings] for row in rows}
     rows = [replace(row, ti_tt=_tally(judged[row.run])) for row in rows]
     passes = pass_differences(_passed(judged, recordings))
@@ -267,7 +254,7 @@ def compare_runs(runs: Sequence[Run]) -> Comparison:
 
 def _free_run(run: Run, name: str) -> FreeRun:
     log = next(log for log in run.logs if log.name == name)
-    return run_log(run.bundle, run_config(run.bundle)[0], log.without_faults(), log, one_step=False)
+    return run_log(run.bundle, run.tables[0], log.without_faults(), log, one_step=False)
 
 
 def _recording(found: Mapping[str, FreeRun], lead: Run) -> Recording:
@@ -295,7 +282,7 @@ def _recording(found: Mapping[str, FreeRun], lead: Run) -> Recording:
         for name in channels
     ])  # fmt: skip
     known = np.logical_and.reduce([one.inputs_known for one in found.values()])
-    events = tuple(find_events(log, run_config(lead.bundle)[0].events.for_log(log, own.channels)))
+    events = tuple(find_events(log, lead.tables[0].events.for_log(log, own.channels)))
     flight = Path(log.source.file).name or log.name
     return Recording(log.name, log.time_s, channels, measured, outputs, known, events, flight)
 
@@ -307,7 +294,6 @@ def _by_channel(run: FreeRun, name: str, channels: Sequence[str]) -> FloatArray:
 
 
 def _assessed(model: str, one: Recording, settings: TransientsConfig) -> list[Assessment]:
-    """Ti/Tt of a model over all events of a recording, in the channels that it has."""
     outputs = one.outputs[model]
     at = [k for k in range(len(one.channels)) if np.isfinite(outputs[:, k]).any()]
     channels = tuple(one.channels[k] for k in at)
@@ -329,7 +315,7 @@ def _passed(
     for run, logs in judged.items():
         known[run] = {}
         for recording, found in zip(recordings, logs, strict=True):
-            keys = flights.setdefault(recording.flight or recording.name, {})
+            keys = flights.setdefault(recording.unit, {})
             for each in found:
                 if each.verdict.ok is not None:
                     key = recording.name, each.start_s, each.channel
@@ -355,7 +341,6 @@ def _row(run: Run, found: Sequence[FreeRun]) -> Row:
 
 
 def _coverage(found: Sequence[FreeRun]) -> float | None:
-    """Share of measurements within the interval of the free run; None without one."""
     inside = [
         (np.abs(error) <= one.half_width[one.scored])[np.isfinite(error)]
         for one in found

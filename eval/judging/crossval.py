@@ -80,7 +80,6 @@ class CrossValidation:
         return {name: tuple(f for f in self.folds if f.scheme == name) for name in names}
 
     def spread(self, scheme: str) -> dict[str, dict[str, float | None]]:
-        """As `spread`, over the folds of one scheme."""
         return spread(self.schemes[scheme])
 
     def remark(self, scheme: str) -> str:
@@ -88,6 +87,7 @@ class CrossValidation:
         least = f"At least {self.settings.least_passed_pct:g} % of all assessed events of a scheme"
         return f"{REMARKS.get(scheme, '')} {least} have to pass.".strip()
 
+    @property
     def missed(self) -> list[str]:
         """Each requirement of [evaluate] that a scheme or a fold does not meet."""
         texts = []
@@ -116,13 +116,13 @@ class CrossValidation:
             f"{total(folds, 'passed')} of {total(folds, 'assessed')} in {name}"
             for name, folds in self.schemes.items()
         ]
-        missed = self.missed()
+        missed = self.missed
         headline = f"Transients that meet the rules for Ti and Tt: {', '.join(counts)}"
         return Outcome(not missed, headline, tuple(f"{text}." for text in missed))
 
     def document(self) -> dict[str, Any]:
         """`crossval.json`; None where a figure does not exist."""
-        missed = self.missed()
+        missed = self.missed
         schemes = [
             {
                 "name": name,

@@ -7,14 +7,13 @@ code show it.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Final
-
-import numpy as np
+from typing import Any
 
 from data_prep.log import Finding, Log
+from data_prep.prepare import cautions
 from eval.judging.evidence import (
     Count,
     contradictions,
@@ -23,7 +22,7 @@ from eval.judging.evidence import (
     trained_words,
     why_not_judged,
 )
-from eval.judging.free_run import ARX, FIRST_ORDER, NETWORK, STEADY_STATE, FreeRun
+from eval.judging.free_run import STEADY_STATE, outside_envelope
 from eval.judging.log_evaluation import NEW, LogEvaluation, assess_log, tally_row
 from eval.judging.outcome import Outcome, plural
 from eval.judging.scores import ChannelScores, score
@@ -31,7 +30,6 @@ from eval.run_logs import EvaluateConfig, run_config
 from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.certificate import Certificate
 from narxcal.channels import described, symbol
-from narxcal.steady.model import Envelope, SteadyStateModel
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import finite
 from narxcal.support.progress import Progress, silent
@@ -39,22 +37,22 @@ from training.responses.transients import Assessment, Tally, not_assessable, tal
 from training.screening.levels import LEAST_LOGS, LevelCheck, words
 
 SCHEMA = "narxcal.evaluate/1"
-_MANY_OUTSIDE = 0.1  # share of a log's samples outside the envelope from which on it is reported
 _MOST_REASONS = 3  # why transients are not assessed, in the verdict
 
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """All logs and what they have to reach; `mixture` says of which models.
+    """All logs and what they have to reach.
 
-    `certificate` says whether the model settles at constant inputs.
+    `certificate` says whether the model settles at constant inputs; `cautions` are what a reader of
+    the figures has to know.
     """
 
     logs: tuple[LogEvaluation, ...]
     config: EvaluateConfig
     trim: float | None = None
-    mixture: tuple[str, ...] = ()
     certificate: Certificate | None = None
+    cautions: tuple[str, ...] = ()
 
     @property
     def assessments(self) -> list[Assessment]:
@@ -62,7 +60,6 @@ class Evaluation:
 
     @property
     def tally(self) -> Tally:
-        """Ti/Tt over all logs and channels."""
         return tally(self.assessments)
 
     @cached_property
@@ -70,13 +67,15 @@ class Evaluation:
         """Scores per channel over all logs as one recording."""
         return score([log.run for log in self.logs])
 
+    @property
     def missed(self) -> list[str]:
         """Each requirement that is not met; empty if the evaluation is passed.
 
         Raises `ConfigError` for a bound on a channel that the model does not give.
         """
-        return [*self.failed(), *self.lacking()]
+        return [*self.failed, *self.lacking]
 
+    @cached_property
     def failed(self) -> list[str]:
         """What is wrong with the model, as far as these logs tell."""
         return [
@@ -88,10 +87,10 @@ class Evaluation:
         ]
 
     def _hunting(self) -> list[str]:
-        """Say that the model does not settle at constant inputs."""
         found = self.certificate
         return [] if found is None or found.settled else [f"The model {found.words}"]
 
+    @cached_property
     def lacking(self) -> list[str]:
         """What a verdict needs and these logs do not give."""
         return [
@@ -112,7 +111,6 @@ class Evaluation:
         ]
 
     def _unknown_errors(self) -> list[str]:
-        """Outputs of which the run does not say how large an error is usual."""
         checks = [each for one in self.logs for each in one.errors]
         unknown = dict.fromkeys(symbol(each.channel) for each in checks if each.usual is None)
         why = "the run has no record of errors on held-out logs: train it anew"
@@ -140,20 +138,12 @@ class Evaluation:
         static = [one.baselines[STEADY_STATE] for one in self.logs if STEADY_STATE in one.baselines]
         assessed, least = sum(each.assessed for each in static), self.config.least_passed_pct
         share = 100.0 * sum(each.passed for each in static) / max(assessed, 1)
-        if "least_passed_pct" in self.bounds and 0.0 < least <= share:
+        if "least_passed_pct" in self.config.changed and 0.0 < least <= share:
             texts.append(
                 f"least_passed_pct = {least:g} is no bound: of the steady state alone {share:.1f} "
                 "% pass"
             )
         return texts
-
-    @property
-    def bounds(self) -> dict[str, tuple[Any, Any]]:
-        """Settings of [evaluate] that differ from their defaults: name -> value, default."""
-        own, default = (_flat(one.model_dump(mode="json")) for one in (self.config, _DEFAULT))
-        names = [name for name in {**default, **own} if not name.startswith("crossval.")]
-        pairs = {name: (own.get(name), default.get(name)) for name in names}
-        return {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}
 
     def _not_judged(self) -> list[str]:
         """Outputs of which too little is judged, in one count over cleaning, faults and gaps."""
@@ -200,7 +190,6 @@ class Evaluation:
 
     @property
     def counts(self) -> list[Count]:
-        """Transients by channel and direction."""
         channels = dict.fromkeys(name for one in self.logs for name in one.run.channels)
         judged = [name for name in self.config.transients.channels if name in channels]
         return counts(self.assessments, judged)
@@ -217,7 +206,6 @@ class Evaluation:
         return [f"Ti/Tt: {found.passed} of {found.assessed} transients pass {share}"]
 
     def _wrong_levels(self) -> list[str]:
-        """Outputs whose level is beyond the spread of the held-out training logs."""
         return [
             f"{one.log.name}: level error of {words(each)}, {each.allowed:.3g} is the spread of "
             f"{each.held_out_logs} held-out training logs"
@@ -270,14 +258,15 @@ class Evaluation:
                 texts.append(f"{name}: RMSE {pooled[name].rmse:.3g}, at most {bound:g} allowed")
         return texts
 
-    @property
+    @cached_property
     def outcome(self) -> Outcome:
         """The verdict: what is missed, then what was counted, then how the baselines do."""
-        failed, lacking, found = self.failed(), self.lacking(), self.tally
+        failed, lacking, found = self.failed, self.lacking, self.tally
         passed = False if failed else None if lacking else True
         baselines = tuple(_against_baselines(one) for one in self.logs)
         set_here = [
-            f"{name} = {own} (default {usual})" for name, (own, usual) in self.bounds.items()
+            f"{name} = {own} (default {usual})"
+            for name, (own, usual) in self.config.changed.items()
         ]
         bounds = [f"Set in [evaluate]: {', '.join(set_here)}"] if set_here else []
         lines = tuple(f"{text.rstrip('.')}." for text in (*failed, *lacking, *bounds))
@@ -298,28 +287,29 @@ class Evaluation:
                 f"{plural(found.not_assessable, 'transient')} could not be assessed and count "
                 f"neither way: {'; '.join(reasons)}{', ...' * (len(why) > len(reasons))}."
             )
-        return Outcome(passed, headline, (*lines, *said, *self._evidence_words(), *baselines))
+        return Outcome(passed, headline, (*lines, *said, self._evidence_words(), *baselines))
 
-    def _evidence_words(self) -> list[str]:
-        """What the verdict rests on, in sentences."""
+    @property
+    def new_logs(self) -> int:
+        return sum(one.role in {NEW, "test"} for one in self.logs)
+
+    def _evidence_words(self) -> str:
+        """What the verdict rests on."""
         each = ", ".join(
-            f"{symbol(one.channel)} {one.passed} of {one.assessed} {one.direction}"
-            f"{'es' if one.direction == 'push' else 's'}"
+            f"{symbol(one.channel)} {one.passed} of {one.assessed} {one.plural}"
             for one in self.counts
         )
         share = min((share for one in self.logs for share in one.judged.values()), default=0.0)
-        new = sum(one.role in {NEW, "test"} for one in self.logs)
         least = min((one.at_least_pct for one in self.counts), default=0.0)
-        text = (
-            f"Evidence: {plural(new, 'new log')}, {each}; with 90 % confidence at least "
+        return (
+            f"Evidence: {plural(self.new_logs, 'new log')}, {each}; with 90 % confidence at least "
             f"{least:.0f} % of such transients pass; at least {100.0 * share:.0f} % of each "
             "output of each log is judged."
         )
-        return [text]
 
     def document(self) -> dict[str, Any]:
         """`evaluate.json`; None where a figure does not exist."""
-        used, missed = self.config.transients.rule_set, self.missed()
+        used, missed = self.config.transients.rule_set, self.missed
         found: dict[str, Any] = finite(
             {
                 "schema": SCHEMA,
@@ -328,14 +318,14 @@ class Evaluation:
                 "least_passed_pct": self.config.least_passed_pct,
                 "bounds": {
                     name: {"value": own, "default": usual}
-                    for name, (own, usual) in self.bounds.items()
+                    for name, (own, usual) in self.config.changed.items()
                 },
                 "evidence": {
-                    "new_logs": sum(one.role in {NEW, "test"} for one in self.logs),
+                    "new_logs": self.new_logs,
                     "least_events": self.config.least_events,
                     "least_judged_pct": self.config.least_judged_pct,
                     "transients": [each.row() for each in self.counts],
-                    "lacking": self.lacking(),
+                    "lacking": self.lacking,
                 },
                 "trim": self.trim,
                 "findings": [each.row() for each in self.findings],
@@ -356,42 +346,6 @@ class Evaluation:
         return found
 
 
-def _flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Keys of nested tables joined by dots."""
-    found: dict[str, Any] = {}
-    for name, value in table.items():
-        key = f"{prefix}{name}"
-        found |= _flat(value, f"{key}.") if isinstance(value, dict) else {key: value}
-    return found
-
-
-_DEFAULT: Final = EvaluateConfig()
-_MODELS: Final = {
-    NETWORK: "lags with the network",
-    "lags": "lags alone",
-    STEADY_STATE: "the steady state",
-    FIRST_ORDER: "a first-order lag",
-    ARX: "an ARX model",
-    "output_error": "an output-error model",
-}
-
-
-def mixture_sentences(bundle: Bundle) -> tuple[str, ...]:
-    """Of which models the outputs are mixed, and the errors that their weights rest on."""
-    found = []
-    for name, stored in bundle.record.weighed.channels.items():
-        if stored.ordered == [(NETWORK, 1.0)]:
-            continue
-        errors = stored.held_out_rmse
-        parts = [
-            f"{weight:.2f} {_MODELS.get(model, model)}"
-            + (f" ({errors[model]:.3g} held out)" if errors.get(model) is not None else "")
-            for model, weight in stored.ordered
-        ]
-        found.append(f"{symbol(name)} is {', '.join(parts)}.")
-    return tuple(found)
-
-
 def _none_rated(rated: Sequence[str], outputs: Sequence[str]) -> str:
     return (
         f"the model has no output {' or '.join(rated)}, and nothing says how its "
@@ -401,7 +355,6 @@ def _none_rated(rated: Sequence[str], outputs: Sequence[str]) -> str:
 
 
 def _against_baselines(one: LogEvaluation) -> str:
-    """In which channels the model beats every baseline, and in which it does not."""
     best = {name: (found.rmse, found.best_rmse) for name, found in one.scores.items()}
     won = [symbol(name) for name, (own, least) in best.items() if own == least]
     lost = [symbol(name) for name, (own, least) in best.items() if own > least]
@@ -421,47 +374,18 @@ def evaluate(
     Raises `DataError` for logs that the model cannot be run on, `ConfigError` for a trim
     outside of 0 to 1.
     """
-    settings = settings or run_config(bundle)[1]
+    config, own = run_config(bundle)
+    settings = settings or own
     found = []
     for number, log in enumerate(logs):
         progress(number, len(logs), log.name)
         found.append(assess_log(bundle, log, settings, trim=trim))
-    return Evaluation(tuple(found), settings, trim, mixture_sentences(bundle), bundle.certificate)
-
-
-def outside_envelopes(bundle: Bundle, found: Evaluation) -> list[str]:
-    """Warnings of logs outside the envelope of their engine's steady-state model."""
-    own = (bundle.calibration.for_engine(one.log.source.engine, or_mean=True) for one in found.logs)
-    pairs = zip(found.logs, own, strict=True)
-    texts = (outside_envelope(one.run, calibration.steady) for one, calibration in pairs)
-    return [text for text in texts if text]
-
-
-def outside_envelope(run: FreeRun, steady: SteadyStateModel) -> str:
-    """Warn of a log with more than 10 % of its samples outside the envelope of `steady`.
-
-    `steady` is that of the log's engine. Names the inputs and their ranges where the envelope is
-    a box; empty for a log that is inside.
-    """
-    outside, known = run.inputs_known & ~run.in_envelope, run.inputs_known
-    if outside.sum() <= _MANY_OUTSIDE * known.sum():
-        return ""
-    return (
-        f"{run.log.name}: {100.0 * outside.sum() / known.sum():.0f} % of the samples are outside "
-        f"the envelope of the steady-state model{_by_inputs(run, steady)}"
+    result = Evaluation(tuple(found), settings, trim, bundle.certificate)
+    said = (
+        *bundle.record.doubtful_logs,
+        *cautions(logs, config, config.narx.outputs),
+        *(each.caution for each in result.findings),
+        *result.level_cautions,
+        *(text for one in found if (text := outside_envelope(bundle, one.run))),
     )
-
-
-def _by_inputs(run: FreeRun, steady: SteadyStateModel) -> str:
-    box = getattr(steady, "envelope", None)
-    if not isinstance(box, Envelope):
-        return ""
-    ranges = []
-    for name, low, high in zip(steady.input_names, box.low, box.high, strict=True):
-        values = run.log[name][run.inputs_known]
-        if np.mean((values < low) | (values > high)) > _MANY_OUTSIDE:
-            ranges.append(
-                f"{name} is {values.min():.5g} to {values.max():.5g}, "
-                f"the envelope {low:.5g} to {high:.5g}"
-            )
-    return f" ({'; '.join(ranges)})" if ranges else ""
+    return replace(result, cautions=said)

@@ -166,6 +166,10 @@ class Count:
     assessed: int
 
     @property
+    def plural(self) -> str:
+        return {"push": "pushes", "pull": "pulls"}[self.direction]
+
+    @property
     def at_least_pct(self) -> float:
         """Percentage that passes in the long run, at least, with 90 % confidence.
 
@@ -197,7 +201,7 @@ def counts(assessments: Sequence[Assessment], channels: Iterable[str]) -> list[C
 def too_few(found: Sequence[Count], least: int, whose: str) -> list[str]:
     """Directions with fewer events than a verdict takes, in one line."""
     few = [
-        f"{each.assessed or 'no'} {each.direction if each.assessed == 1 else _plural(each)} in "
+        f"{each.assessed or 'no'} {each.direction if each.assessed == 1 else each.plural} in "
         f"{symbol(each.channel)}"
         for each in found
         if each.assessed < least
@@ -205,10 +209,6 @@ def too_few(found: Sequence[Count], least: int, whose: str) -> list[str]:
     if not few:
         return []
     return [f"{whose}: {', '.join(few)}; a verdict takes {least} of each that can be assessed"]
-
-
-def _plural(count: Count) -> str:
-    return {"push": "pushes", "pull": "pulls"}[count.direction]
 
 
 def trained_words(log: str, role: str, shared: Shared | None) -> str:

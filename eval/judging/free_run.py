@@ -18,6 +18,7 @@ from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.calibration import Calibration
 from narxcal.channels import spools_of
 from narxcal.intervals import LEVEL
+from narxcal.steady.model import Envelope
 from narxcal.support.arrays import BoolArray, FloatArray, bridge_gaps, spans
 from narxcal.support.errors import DataError
 from training.config import RunConfig
@@ -26,6 +27,7 @@ from training.dynamics.baselines import Baselines
 MODEL, ONE_STEP, NETWORK = "model", "one_step", "network"
 STEADY_STATE, FIRST_ORDER, ARX = "steady_state", "first_order", "arx"
 BASELINES = (STEADY_STATE, FIRST_ORDER, ARX)
+_MANY_OUTSIDE = 0.1  # share of a log's samples outside the envelope from which on it is reported
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,12 +63,10 @@ class FreeRun:
 
     @property
     def model(self) -> FloatArray:
-        """The calibration's free run (time, channel)."""
         return self.outputs[MODEL]
 
     @property
     def steady(self) -> FloatArray:
-        """The steady-state model alone (time, channel)."""
         return self.outputs[STEADY_STATE]
 
     @property
@@ -139,7 +139,6 @@ def run_log(
 
 
 def _complete(log: Log, names: Sequence[str]) -> BoolArray:
-    """Rows (time,) at which every one of the named channels has a value."""
     return np.asarray(np.all([np.isfinite(log[name]) for name in names], axis=0))
 
 
@@ -191,3 +190,28 @@ def _check_interval(calibration: Calibration, log: Log) -> None:
             file=log.name,
             hint="Resample the log to the model's interval: raster_hz in [logs]",
         )
+
+
+def outside_envelope(bundle: Bundle, run: FreeRun) -> str:
+    """Warn of a log with more than 10 % of its samples outside the steady-state model's envelope.
+
+    Names the inputs and their ranges where the envelope is a box; empty for a log that is inside.
+    """
+    outside, known = run.inputs_known & ~run.in_envelope, run.inputs_known
+    if outside.sum() <= _MANY_OUTSIDE * known.sum():
+        return ""
+    steady = bundle.calibration.for_engine(run.log.source.engine, or_mean=True).steady
+    box, ranges = getattr(steady, "envelope", None), []
+    if isinstance(box, Envelope):
+        for name, low, high in zip(steady.input_names, box.low, box.high, strict=True):
+            values = run.log[name][known]
+            if np.mean((values < low) | (values > high)) > _MANY_OUTSIDE:
+                ranges.append(
+                    f"{name} is {values.min():.5g} to {values.max():.5g}, "
+                    f"the envelope {low:.5g} to {high:.5g}"
+                )
+    where = f" ({'; '.join(ranges)})" if ranges else ""
+    return (
+        f"{run.log.name}: {100.0 * outside.sum() / known.sum():.0f} % of the samples are outside "
+        f"the envelope of the steady-state model{where}"
+    )

@@ -18,10 +18,8 @@ class Outcome:
 
     @property
     def exit_code(self) -> int:
-        """0 for a pass, else 1."""
         return 0 if self.passed else 1
 
 
 def plural(count: int, noun: str) -> str:
-    """`1 event`, `2 events`."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"

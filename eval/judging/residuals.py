@@ -43,7 +43,6 @@ class Correlation:
 
     @property
     def band_95(self) -> FloatArray:
-        """Half width of the 95 % band, `(lag,)`."""
         return 1.96 * self.deviation
 
 
@@ -113,7 +112,6 @@ def cross_correlation(given: FloatArray, residual: FloatArray, lags: int) -> Cor
 
 
 def whiteness(correlation: Correlation) -> Dependence:
-    """Judge the autocorrelation at lags 1 and up."""
     return _judge(correlation, correlation.lags > 0)
 
 
@@ -170,5 +168,4 @@ def _lagged_sums(first: FloatArray, second: FloatArray, lags: int) -> FloatArray
 
 
 def _white(pairs: FloatArray) -> FloatArray:
-    """Return the standard deviation of a correlation of white noise over that many pairs."""
     return np.divide(1.0, np.sqrt(pairs), out=np.full_like(pairs, np.nan), where=pairs > 0)

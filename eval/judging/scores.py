@@ -1,9 +1,8 @@
 """Errors of the free run and of the baselines, channel by channel: one log, or many pooled.
 
-Functions take `measured` and `model`, both `(time, channel)`, and an optional `mask` of that shape
-or `(time,)`, true where a sample counts; they return `(channel,)`. Samples where either is NaN or
-the mask is false are left out of that channel only. A figure that the remaining samples do not
-define is NaN.
+Functions take `measured` and `model`, both `(time, channel)`, and an optional `mask` `(time,)`,
+true where a sample counts; they return `(channel,)`. Samples where either is NaN are left out of
+that channel only. A figure that the remaining samples do not define is NaN.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from eval.judging.free_run import BASELINES, MODEL, NETWORK, ONE_STEP, FreeRun
 from narxcal.intervals import LEVEL
@@ -27,22 +25,14 @@ _RELATIVE_FLOOR = 0.05
 _ROUNDING = 1e-24
 
 
-def counted(
-    measured: FloatArray, model: FloatArray, mask: BoolArray | None = None
-) -> NDArray[np.intp]:
-    """Return how many samples of each channel are scored, `(channel,)`."""
-    return np.asarray(_valid(measured, model, mask).sum(axis=0))
-
-
 def rms(error: FloatArray) -> float:
-    """Root mean square of the samples of one error signal that are not NaN."""
-    return float(np.sqrt(np.nanmean(error**2)))
+    """Root mean square of the samples of one error signal that are not NaN; NaN without any."""
+    return math.sqrt(_mean(error**2))
 
 
 def rmse(measured: FloatArray, model: FloatArray, mask: BoolArray | None = None) -> FloatArray:
-    """Return the root mean square error, in the channel's unit."""
-    valid = _valid(measured, model, mask)
-    return np.asarray(np.sqrt(_mean((model - measured) ** 2, valid)))
+    errors = np.where(_valid(measured, model, mask), model - measured, np.nan)
+    return np.array([rms(column) for column in errors.T])
 
 
 def nrmse(measured: FloatArray, model: FloatArray, mask: BoolArray | None = None) -> FloatArray:
@@ -51,10 +41,12 @@ def nrmse(measured: FloatArray, model: FloatArray, mask: BoolArray | None = None
     1 is what the measurement's own mean would reach as a model.
     """
     valid = _valid(measured, model, mask)
-    error = _mean((model - measured) ** 2, valid)
-    swing = _mean((measured - _mean(measured, valid)) ** 2, valid)
-    constant = swing <= _ROUNDING * _mean(measured**2, valid)
-    return np.sqrt(_ratio(error, np.where(constant, 0.0, swing)))
+    found = np.full(measured.shape[1], np.nan)
+    for k, rows in enumerate(valid.T):
+        known = measured[rows, k]
+        if len(known) and known.var() > _ROUNDING * np.mean(known**2):
+            found[k] = rms(model[rows, k] - known) / known.std()
+    return found
 
 
 def fit_percent(
@@ -73,41 +65,24 @@ def max_relative_percent(
     stopped engine does not divide by zero and no sample has to be left out.
     """
     valid = _valid(measured, model, mask)
-    size = np.where(valid, np.abs(measured), 0.0)
-    largest = size.max(axis=0, initial=0.0)
-    error = np.where(valid, np.abs(model - measured), 0.0)
-    relative = _ratio(error, np.maximum(size, _RELATIVE_FLOOR * largest))
-    relative = np.where(valid & (error == 0.0), 0.0, relative)
-    worst = np.max(relative, axis=0, where=valid, initial=0.0)
-    return np.where(valid.any(axis=0), 100.0 * worst, np.nan)
+    found = np.full(measured.shape[1], np.nan)
+    for k, rows in enumerate(valid.T):
+        error, size = np.abs(model[rows, k] - measured[rows, k]), np.abs(measured[rows, k])
+        size = np.maximum(size, _RELATIVE_FLOOR * size.max(initial=0.0))
+        ratios = np.divide(error, size, out=np.full_like(size, np.nan), where=size > 0.0)
+        ratios[error == 0.0] = 0.0
+        found[k] = 100.0 * ratios.max() if len(ratios) else np.nan
+    return found
 
 
 def _valid(measured: FloatArray, model: FloatArray, mask: BoolArray | None) -> BoolArray:
-    if measured.ndim != 2 or measured.shape != model.shape:
-        raise DataError(
-            f"expected measured and model of one shape (time, channel), got {measured.shape} "
-            f"and {model.shape}"
-        )
     valid = np.isfinite(measured) & np.isfinite(model)
-    if mask is None:
-        return valid
-    if mask.shape not in (measured.shape, measured.shape[:1]):
-        raise DataError(
-            f"expected a mask of shape {measured.shape} or {measured.shape[:1]}, got {mask.shape}"
-        )
-    return valid & (mask if mask.ndim == 2 else mask[:, None])
+    return valid if mask is None else valid & mask[:, None]
 
 
-def _mean(values: FloatArray, valid: BoolArray) -> FloatArray:
-    """Mean over time of the valid samples; NaN where there is none."""
-    return _ratio(np.where(valid, values, 0.0).sum(axis=0), valid.sum(axis=0).astype(np.float64))
-
-
-def _ratio(numerator: FloatArray, denominator: FloatArray) -> FloatArray:
-    """Divide; NaN where the denominator is zero."""
-    return np.divide(
-        numerator, denominator, out=np.full_like(denominator, np.nan), where=denominator != 0.0
-    )
+def _mean(values: FloatArray) -> float:
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if len(known) else math.nan
 
 
 @dataclass(frozen=True)
@@ -149,7 +124,6 @@ class ChannelScores:
 
     @property
     def baselines(self) -> dict[str, float]:
-        """Baseline -> its RMSE on the same samples."""
         return {name: getattr(self, f"{name}_rmse") for name in BASELINES}
 
     def row(self) -> dict[str, Any]:
@@ -165,18 +139,11 @@ def score(runs: Sequence[FreeRun]) -> dict[str, ChannelScores]:
     """Score one log, or several as if they were one long recording.
 
     Of a channel slower than the sampling grid only measured samples count, not those interpolated
-    between them. Raises `DataError` without runs, or where they are of different channels.
+    between them. Raises `DataError` without runs.
     """
     if not runs:
         raise DataError("expected at least one log to score, found none")
-    channels = runs[0].channels
-    for one in runs:
-        if one.channels != channels:
-            raise DataError(
-                f"expected the channels {', '.join(channels)}, found {', '.join(one.channels)}",
-                file=one.log.name,
-            )
-    return {name: _of_channel(runs, k) for k, name in enumerate(channels)}
+    return {name: _of_channel(runs, k) for k, name in enumerate(runs[0].channels)}
 
 
 def _of_channel(runs: Sequence[FreeRun], k: int) -> ChannelScores:
@@ -184,40 +151,33 @@ def _of_channel(runs: Sequence[FreeRun], k: int) -> ChannelScores:
     measured = np.concatenate([one.log.measured(one.channels[k : k + 1]) for one in runs])
     scored = np.concatenate([one.scored for one in runs])
     static = np.concatenate([one.quasi_steady for one in runs]) & scored
-    model = _joined(runs, MODEL, k)
-    error = np.where(np.isfinite(model - measured) & scored[:, None], model - measured, np.nan)
-    figures: dict[str, FloatArray] = {
-        "samples": counted(measured, model, scored).astype(np.float64),
-        "rmse": rmse(measured, model, scored),
-        "nrmse": nrmse(measured, model, scored),
-        "fit_pct": fit_percent(measured, model, scored),
-        "max_rel_pct": max_relative_percent(measured, model, scored),
-        "max_error": _reduced(np.abs(error), "max"),
-        "bias": _reduced(error, "mean"),
-        "static_samples": counted(measured, model, static).astype(np.float64),
-        "static_rmse": rmse(measured, model, static),
-        "static_bias": _reduced(error[static], "mean"),
-        "dynamic_rmse": rmse(measured, model, scored & ~static),
-    }
+
+    def model_of(name: str) -> FloatArray:
+        return np.concatenate([_column(one, one.outputs.get(name), k) for one in runs])
+
+    model = model_of(MODEL)
+    error = np.where(scored[:, None], model - measured, np.nan)
     wide = np.concatenate([_column(one, one.half_width, k) for one in runs])
     wide = np.where(np.isfinite(error), wide, np.nan)
     inside = np.where(np.isfinite(wide), np.abs(error) <= wide, np.nan)
-    figures |= {"coverage": _reduced(inside, "mean"), "half_width": _reduced(wide, "mean")}
-    for name in (ONE_STEP, NETWORK, *BASELINES):
-        figures[f"{name}_rmse"] = rmse(measured, _joined(runs, name, k), scored)
-    return ChannelScores(**{key: float(values[0]) for key, values in figures.items()})
-
-
-def _joined(runs: Sequence[FreeRun], name: str, k: int) -> FloatArray:
-    """Channel `k` (time, 1) of one model over all logs; NaN for logs it was not run on."""
-    return np.concatenate([_column(one, one.outputs.get(name), k) for one in runs])
+    others = (ONE_STEP, NETWORK, *BASELINES)
+    return ChannelScores(
+        samples=float(np.isfinite(error).sum()),
+        rmse=rms(error),
+        nrmse=float(nrmse(measured, model, scored)[0]),
+        fit_pct=float(fit_percent(measured, model, scored)[0]),
+        max_rel_pct=float(max_relative_percent(measured, model, scored)[0]),
+        max_error=float(np.fmax.reduce(np.abs(error), axis=None)),
+        bias=_mean(error),
+        static_samples=float(np.isfinite(error[static]).sum()),
+        static_rmse=rms(error[static]),
+        static_bias=_mean(error[static]),
+        dynamic_rmse=rms(error[~static]),
+        coverage=_mean(inside),
+        half_width=_mean(wide),
+        **{f"{name}_rmse": float(rmse(measured, model_of(name), scored)[0]) for name in others},
+    )
 
 
 def _column(run: FreeRun, values: FloatArray | None, k: int) -> FloatArray:
     return np.full((len(run.log), 1), np.nan) if values is None else values[:, k : k + 1]
-
-
-def _reduced(values: FloatArray, how: str) -> FloatArray:
-    """Mean or largest of the finite values (channel,); NaN where there is none."""
-    found = [column[np.isfinite(column)] for column in values.T]
-    return np.array([getattr(part, how)() if len(part) else np.nan for part in found])

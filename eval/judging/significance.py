@@ -35,17 +35,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from scipy.stats import binomtest
 from scipy.stats import t as student
 
-from narxcal.support.arrays import FloatArray
+from data_prep.events import Event
+from narxcal.support.arrays import BoolArray, FloatArray
 from training.folds import clustered
-
-if TYPE_CHECKING:
-    from eval.judging.compare import Recording
 
 LEVEL = 0.05  # family-wise
 _POWER = 0.8
@@ -53,6 +51,29 @@ _LENGTH, _MOST = 8.0, 20  # of a stretch in correlation times, and how many
 _EQUAL = 1e-9  # of the squared error: models that differ by rounding are one
 
 UnitKind = Literal["flights", "stretches"]
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """One log: measured (time, channel) and the free run of every model.
+
+    A model gives NaN for a channel that it does not have. `scored` (time,) are the rows that count,
+    `events` those to judge Ti and Tt by. Recordings of one `flight`, their name without one, are no
+    independent evidence.
+    """
+
+    name: str
+    time_s: FloatArray
+    channels: tuple[str, ...]
+    measured: FloatArray
+    outputs: Mapping[str, FloatArray]
+    scored: BoolArray
+    events: tuple[Event, ...] = ()
+    flight: str = ""
+
+    @property
+    def unit(self) -> str:
+        return self.flight or self.name
 
 
 @dataclass(frozen=True)
@@ -76,7 +97,6 @@ class Difference:
 
     @property
     def significant(self) -> bool:
-        """Whether the claim is one of a table with 5 % false claims."""
         return self.p <= LEVEL
 
 
@@ -91,7 +111,6 @@ class PassDifference:
 
     @property
     def significant(self) -> bool:
-        """Whether the claim is one of a table with 5 % false claims."""
         return self.p <= LEVEL
 
 
@@ -207,8 +226,8 @@ def _pair(recordings: Sequence[Recording], models: tuple[str, str], channel: str
     """Errors of two models by flight; None where one of them lacks the channel, or they are one."""
     at = recordings[0].channels.index(channel)
     flights = []
-    for name in dict.fromkeys(one.flight or one.name for one in recordings):
-        own = [one for one in recordings if (one.flight or one.name) == name]
+    for name in dict.fromkeys(one.unit for one in recordings):
+        own = [one for one in recordings if one.unit == name]
         errors = [_errors(one, models, at) for one in own]
         errors = [both for both in errors if np.isfinite(both[0]).any()]
         if errors:
@@ -235,7 +254,6 @@ def _p(r: FloatArray) -> float:
 
 
 def _holm(alone: FloatArray) -> FloatArray:
-    """P of the whole table from those of each test (Holm 1979)."""
     order = np.argsort(alone)
     found = np.empty_like(alone)
     factors = len(alone) - np.arange(len(alone))

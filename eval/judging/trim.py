@@ -82,7 +82,6 @@ class TrimConfig(Section):
 
     @property
     def nodes(self) -> FloatArray:
-        """Levels at which the offsets are kept, `(nodes,)`."""
         return np.linspace(0.0, 1.0, round(1.0 / self.spacing) + 1)
 
 

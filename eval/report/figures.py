@@ -22,8 +22,9 @@ from narxcal.channels import CHANNELS, symbol
 from narxcal.support.arrays import FloatArray
 
 if TYPE_CHECKING:
-    from eval.judging.compare import Comparison, Recording
+    from eval.judging.compare import Comparison
     from eval.judging.crossval import CrossValidation, FoldResult
+    from eval.judging.significance import Recording
     from eval.reproduce.noise import NoiseSweep
 
 

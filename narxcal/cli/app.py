@@ -144,7 +144,7 @@ def _run(options: argparse.Namespace) -> int:
     logging.getLogger("narxcal").addHandler(warnings)
     try:
         module = import_module(f"narxcal.cli.{options.command}")
-        with _alone(_output(module, options)), _cluster(options):
+        with _alone(module, options), _cluster(options):
             code: int = module.run(options, console)
     finally:
         logging.getLogger("narxcal").removeHandler(warnings)
@@ -164,21 +164,16 @@ def _cluster(options: argparse.Namespace) -> Iterator[None]:
         yield
 
 
-def _output(module: ModuleType, options: argparse.Namespace) -> Path | None:
-    """Where a command writes: --out, or its own default place."""
-    out = getattr(options, "out", None)
-    if out is None and hasattr(module, "default_output"):
-        out = module.default_output(options)
-    return out if isinstance(out, Path) else None  # what is not of this machine can't be locked
-
-
 @contextmanager
-def _alone(out: Path | None) -> Iterator[None]:
+def _alone(module: ModuleType, options: argparse.Namespace) -> Iterator[None]:
     """Let no two commands write one output; raises `ConfigError` before any work."""
     from narxcal.support.files import in_place  # noqa: PLC0415 -- help does not wait for numpy
 
+    out = getattr(options, "out", None)
+    if out is None and hasattr(module, "default_output"):
+        out = module.default_output(options)
     with ExitStack() as stack:
-        if out is not None and not in_place(out):
+        if isinstance(out, Path) and not in_place(out):  # an address elsewhere can't be locked
             with suppress(OSError):  # the command says what is wrong with the place
                 stack.enter_context(locked(out))
         yield
@@ -194,59 +189,30 @@ def locked(target: Path) -> Iterator[None]:
     It ends with the process, however that ends; locks of network file systems may not hold.
     Raises `ConfigError` if another process has it, and `OSError` if it cannot be written.
     """
+    from filelock import FileLock, Timeout  # noqa: PLC0415 -- help does not wait for it
+
     folder = Path(os.path.realpath(target))
     while not folder.parent.exists():
         folder = folder.parent
     file = folder.with_name(f".{folder.name}.lock")
-    descriptor = _acquired(file, target)
+    lock = FileLock(file, blocking=False)
     try:
-        os.truncate(file, 0)
-        os.write(descriptor, f"{os.getpid()} on {socket.gethostname()}\n".encode())
+        lock.acquire()
+    except Timeout:
+        owner = file.read_text(encoding="utf-8", errors="replace").strip()
+        raise ConfigError(
+            f"{target} is being written by another command (process {owner or 'unknown'})",
+            hint="Wait for it to end, or choose another name",
+        ) from None
+    try:
+        file.write_text(f"{os.getpid()} on {socket.gethostname()}\n", encoding="utf-8")
         yield
     finally:
-        # Removed first, so that nobody can lock a file that is about to go.
         try:
-            with suppress(OSError):
-                file.unlink()
+            with suppress(OSError):  # Windows removes no open file
+                file.unlink()  # before the release, so that nobody locks what is about to go
         finally:
-            os.close(descriptor)
-        with suppress(OSError):  # Windows removes no open file
-            file.unlink(missing_ok=True)
-
-
-def _acquired(file: Path, target: Path) -> int:
-    while True:
-        descriptor = os.open(file, os.O_RDWR | os.O_CREAT, 0o644)
-        if not _lock(descriptor):
-            owner = os.read(descriptor, 200).decode(errors="replace").strip()
-            os.close(descriptor)
-            raise ConfigError(
-                f"{target} is being written by another command (process {owner or 'unknown'})",
-                hint="Wait for it to end, or choose another name",
-            )
-        # Between opening and locking, the former owner may have removed this very file.
-        with suppress(OSError):
-            if os.path.samestat(os.fstat(descriptor), file.stat()):
-                return descriptor
-        os.close(descriptor)
-
-
-def _lock(descriptor: int) -> bool:
-    """Lock an open file until it is closed; whether nobody else has it."""
-    try:
-        if sys.platform == "win32":
-            import msvcrt  # noqa: PLC0415 -- of Windows alone
-
-            os.lseek(descriptor, 1 << 30, os.SEEK_SET)  # beyond what is read
-            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
-            os.lseek(descriptor, 0, os.SEEK_SET)
-        else:
-            import fcntl  # noqa: PLC0415 -- of POSIX alone
-
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        return False
-    return True
+            lock.release()
 
 
 def _interrupted(state: str) -> int:

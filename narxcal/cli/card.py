@@ -65,9 +65,11 @@ def run(options: Namespace, console: Console) -> int:
         cautions=card.cautions,
     )
     found = {**card.document(), "source": str(options.source)}
-    atomic_write_text(options.out, _page(header, card))
+    steps = _steps(card)
+    page = render("card.html.j2", header=header, card=card, steps=steps, gains=_gains(card))
+    atomic_write_text(options.out, page)
     atomic_write_text(document, to_json(found))
-    rows = [[cell.text for cell in row[:6]] for row in _steps(card).rows]
+    rows = [[cell.text for cell in row[:6]] for row in steps.rows]
     console.table("Card", list(_HEAD[:6]), rows)
     console.say(card.headline)
     console.finish(found, f"Page: {options.out} and {document.name}", card.cautions)
@@ -81,10 +83,6 @@ def _card(options: Namespace, wanted: Wanted, progress: Progress) -> Card:
         return separation_card(gap, wanted)
     bundle = load_bundle(source, trust=options.trust)
     return calibration_card(bundle, wanted, options.data, progress)
-
-
-def _page(header: RunHeader, card: Card) -> str:
-    return render("card.html.j2", header=header, card=card, steps=_steps(card), gains=_gains(card))
 
 
 def _steps(card: Card) -> Table:
@@ -132,7 +130,6 @@ def _read(channel: str, value: float, ways: str = "near") -> str:
 
 
 def _watched(card: Card, one: Step) -> str:
-    """Expected ranges of the outputs, with their limits."""
     words = []
     for name, low, high in zip(card.outputs, one.low.tolist(), one.high.tolist(), strict=True):
         most = card.limits.highest.get(name)
@@ -142,7 +139,6 @@ def _watched(card: Card, one: Step) -> str:
 
 
 def _gains(card: Card) -> Table:
-    """What the flight is expected to give, the most first."""
     rows = tuple(
         (Cell(name, "head"), figure(before), figure(after), Cell(what))
         for name, before, after, what in card.expected[:_MOST_ROWS]

@@ -10,7 +10,6 @@ from textwrap import wrap
 from eval import terminal
 from eval.judging.compare import SCHEMA, Comparison, Run, compare_runs
 from eval.report.page import RunHeader, compare_page
-from eval.run_logs import run_config
 from narxcal.calibration.bundle import Bundle, load_bundle
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_data, add_logs, add_out, add_trust, path
@@ -60,7 +59,7 @@ def _opened(folders: Sequence[Path], *, trust: bool) -> dict[str, Bundle]:
 
 def _header(runs: Sequence[Run]) -> RunHeader:
     return RunHeader(
-        title=f"Comparison: {run_config(runs[0].bundle)[0].name}",
+        title=f"Comparison: {runs[0].tables[0].name}",
         sources=data_files(log.source for log in runs[0].logs),
         facts={one.name: f"{one.bundle.calibration.words}; {hash_words(one.bundle.sha256)}"
                for one in runs},

@@ -41,7 +41,6 @@ class Console:
 
     @property
     def silent(self) -> bool:
-        """Whether words and tables are unwanted."""
         return self.json or self.quiet
 
     def for_output(self, out: Path) -> Console:
@@ -56,7 +55,6 @@ class Console:
         return replace(self, quiet=True)
 
     def say(self, text: str) -> None:
-        """Print a line to stdout."""
         if not self.silent:
             sys.stdout.write(f"{printable(text)}\n")
 

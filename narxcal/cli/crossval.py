@@ -12,7 +12,7 @@ from eval.judging.crossval import SCHEMA, CrossValidation, cross_validate
 from eval.report.page import crossval_page
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_config, add_jobs, add_method
-from narxcal.cli.results import config_header, read_config, with_method
+from narxcal.cli.results import config_header, read_config
 from narxcal.support.files import Results
 from training.pipeline import configured_files
 
@@ -29,8 +29,7 @@ def add_options(parser: ArgumentParser) -> None:
 def run(options: Namespace, console: Console) -> int:
     """Cross-validate the configured logs; writes JSON and HTML, 1 where a tolerance was missed."""
     RESULTS.check(options.out)
-    config, base = read_config(options.config, options.data)
-    config = with_method(config, options.method)
+    config, base = read_config(options.config, options.data, options.method)
     logs: list[Log] = []
     files = configured_files(config, base)
     with console.progress("Reading the logs") as advance:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import json
 import sys
 from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
@@ -12,14 +13,21 @@ from typing import Any
 
 from data_prep.log import Log
 from eval import terminal
-from eval.judging.evaluate import SCHEMA
-from eval.report.page import evaluate_page
-from eval.results import Judgement, changed, judge
-from eval.run_logs import run_config
+from eval.judging.evaluate import SCHEMA, Evaluation, evaluate
+from eval.report.page import RunHeader, evaluate_page
+from eval.report.view import view_of
+from eval.run_logs import changed_files, run_config
 from narxcal.calibration.bundle import Bundle, load_bundle, read_document
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_data, add_logs, add_run, fraction, path
-from narxcal.cli.results import header_of, logs_for
+from narxcal.cli.results import (
+    data_files,
+    hash_words,
+    interval_words,
+    lag_words,
+    logs_for,
+    steady_words,
+)
 from narxcal.support.files import Results
 
 PAGE = "evaluate.html"
@@ -40,7 +48,6 @@ def add_options(parser: ArgumentParser) -> None:
 
 
 def default_output(options: Namespace) -> Path:
-    """Where the results go without --out."""
     folder: Path = options.bundle / "evaluate"
     return folder
 
@@ -59,28 +66,57 @@ def run(options: Namespace, console: Console) -> int:
 
 def report(
     bundle: Bundle, logs: Sequence[Log], how: tuple[Path, float | None], console: Console
-) -> tuple[Judgement, dict[str, Any], str]:
+) -> tuple[Evaluation, dict[str, Any], str]:
     """Evaluate log by log; returns also document and page. `how`: the bundle's folder, the trim."""
     folder, trim = how
     _release_memory()  # that reading took
     with console.progress("Evaluating") as advance:
-        found = judge(bundle, logs, trim, advance)
-    config, settings = run_config(bundle)
-    rules = settings.transients.rule_set
-    header = header_of(f"Evaluation: {config.name}", folder, bundle, logs, rules)
-    facts = {**header.facts, "Constant inputs": bundle.certificate.words}
+        found = evaluate(bundle, logs, trim or None, progress=advance)
+    config, stored = run_config(bundle)[0], read_document(folder)
     with console.progress("Drawing the page"):
-        header = replace(header, facts=facts, cautions=found.cautions)
-        page = evaluate_page(header, found.views, found.outcome)
+        header = _header(f"Evaluation: {config.name}", bundle, found, stored["sha256"])
+        inputs = bundle.calibration.input_names
+        views = [view_of(one, config.events.driver, inputs) for one in found.logs]
+        page = evaluate_page(replace(header, run=str(folder)), views, found.outcome)
     document = {
-        **found.evaluation.document(),
+        **found.document(),
         "run": str(folder),
-        "weights_sha256": str(read_document(folder)["weights"]["sha256"]),
+        "weights_sha256": str(stored["weights"]["sha256"]),
         "verified": bool(bundle.sha256),
-        "changed": changed(bundle, logs),
+        "changed": changed_files(bundle, logs),
         "cautions": list(found.cautions),
     }
     return found, document, page
+
+
+def _header(title: str, bundle: Bundle, found: Evaluation, sha256: str) -> RunHeader:
+    record, rules = bundle.record, found.config.transients.rule_set
+    calibration = bundle.calibration
+    split = {f"{part.capitalize()} logs": logs for part, logs in record.split.items()}
+    facts = {
+        "Bundle": hash_words(sha256),
+        "Interval": interval_words(calibration.interval, names=calibration.output_names),
+        **{part: ", ".join(logs) for part, logs in split.items()},
+        "Steady state": steady_words(record),
+        "Lags": lag_words(record),
+        "Seeds": ", ".join(map(str, record.seeds)),
+        "Training": f"{record.training.status}, {record.training.wall_s:.0f} s",
+        "Hardware": ", ".join(map(str, record.hardware.values())),
+        "Constant inputs": bundle.certificate.words,
+    }
+    if not record.training.status:
+        del facts["Training"]
+    return RunHeader(
+        title=title,
+        model=f"{calibration.words}, over {', '.join(calibration.input_names)}",
+        rules=rules.name,
+        tolerances=f"Ti {rules.Ti}; Tt {rules.Tt} ({rules.source})",
+        sources=data_files(one.log.source for one in found.logs),
+        versions=record.versions,
+        facts={label: text for label, text in facts.items() if text},
+        config=json.dumps(record.config, indent=1),
+        cautions=found.cautions,
+    )
 
 
 def _release_memory() -> None:
@@ -93,11 +129,11 @@ def _release_memory() -> None:
         libc.malloc_trim(0)
 
 
-def show(console: Console, found: Judgement) -> None:
-    terminal.print_transients(console.page, found.evaluation.logs)
-    terminal.print_scores(console.page, found.evaluation.logs)
-    terminal.print_interval(console.page, found.evaluation.pooled)
-    terminal.print_levels(console.page, found.evaluation.logs)
+def show(console: Console, found: Evaluation) -> None:
+    terminal.print_transients(console.page, found.logs)
+    terminal.print_scores(console.page, found.logs)
+    terminal.print_interval(console.page, found.pooled)
+    terminal.print_levels(console.page, found.logs)
     terminal.print_outcome(console.page, found.outcome)
     for caution in found.cautions:
         console.warn(caution)

@@ -12,7 +12,7 @@ from typing import Any
 from narxcal.calibration.bundle import Bundle
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_config, add_method
-from narxcal.cli.results import read_config, steady_words, with_method
+from narxcal.cli.results import read_config, steady_words
 from narxcal.cli.train import check, train_or_stop
 from narxcal.support.files import atomic_write_text, to_json
 
@@ -26,8 +26,7 @@ def add_options(parser: ArgumentParser) -> None:
 
 
 def run(options: Namespace, console: Console) -> int:
-    config, base = read_config(options.config, options.data)
-    config = with_method(config, options.method)
+    config, base = read_config(options.config, options.data, options.method)
     check(options.out, resume=False)
     bundle = train_or_stop(config, base, options.out, (False, console))
     document = document_of(bundle)

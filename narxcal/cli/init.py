@@ -62,12 +62,12 @@ def run(options: Namespace, console: Console) -> int:
     asked = [line for line in text.splitlines() if OPEN in line.partition("#")[0]]
     if not asked:
         RunConfig.parse(tomllib.loads(text), out)
-    atomic_write_text(out, text)
-    if logs:
+    if logs:  # the plot first, which takes the most of a disk
         picture, figure = io.BytesIO(), recorded_figure(logs[0])
         without_math(figure)
         figure.savefig(picture, format="png", dpi=110)
         atomic_write_bytes(plot, picture.getvalue())
+    atomic_write_text(out, text)
     for line in asked:
         console.say(f"To be filled in: {line}")
     then = "fill these in, then " if asked else ""

@@ -34,7 +34,6 @@ def address(text: str) -> Path | str:
 
 
 def _between(low: float, high: float, what: str) -> Callable[[str], float]:
-    """Number from `low` to `high`, as an option of `what` takes it."""
 
     def read(text: str) -> float:
         try:
@@ -63,7 +62,6 @@ def level(text: str) -> float:
 
 
 def add_interval(parser: Options, default: float | None = None) -> None:
-    """Columns with the interval of the free run."""
     shown = "" if default is None else f" (default {default:g})"
     parser.add_argument(
         "--interval",
@@ -75,7 +73,6 @@ def add_interval(parser: Options, default: float | None = None) -> None:
 
 
 def count(text: str) -> int:
-    """Whole number of 1 or more, as `--jobs` takes it."""
     return _whole(text, 1, _LARGEST_COUNT)
 
 
@@ -107,7 +104,6 @@ def add_config(parser: ArgumentParser, out: str, text: str) -> None:
 
 
 def add_method(parser: ArgumentParser) -> None:
-    """--method: how the model is identified."""
     parser.add_argument(
         "--method",
         metavar="METHOD",
@@ -127,7 +123,6 @@ def add_data(parser: ArgumentParser, text: str) -> None:
 
 
 def add_out(parser: ArgumentParser) -> None:
-    """--out of a command that writes a folder and nothing else."""
     parser.add_argument("--out", metavar="DIR", type=path, required=True, help="folder")
 
 
@@ -177,7 +172,6 @@ def add_logs(parser: Options) -> None:
 
 
 def add_mapping(parser: ArgumentParser) -> None:
-    """--config of a command that reads logs of any columns."""
     parser.add_argument("--config", metavar="CONFIG", help="TOML file whose [logs] maps columns")
 
 

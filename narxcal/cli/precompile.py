@@ -122,7 +122,6 @@ def run_task(name: str) -> int:
 
 
 def precompile(names: Sequence[str]) -> int:
-    """Run the named tasks; returns the highest exit code."""
     return max(in_processes(run_task, names, min(os.cpu_count() or 1, len(names))))
 
 

@@ -13,17 +13,15 @@ from typing import Any
 
 import pandas as pd
 
-from data_prep.equilibrium import while_running
-from data_prep.log import Log
 from data_prep.reading import read_logs
 from data_prep.sources.binary_source import arrow, write_parquet
 from eval.preparation import (
     LogReport,
     cautions_about,
     events_table,
-    examine,
     most_to_show,
     pearson_table,
+    reports,
     windows_table,
 )
 from eval.report.page import PreparedLog, prepare_page
@@ -103,22 +101,15 @@ class _Work:
         """Prepare and write the logs of one file; an error is returned, as the first one counts."""
         number, file = numbered
         try:
-            recorded = read_logs(file, self.config.logs)
-            running = while_running(recorded, self.config.running)
-            recorded.clear()
-            parts = range(1, len(running) + 1)
-            return [self._of_next(running, f"{number}-{part}") for part in parts]
+            found = reports(read_logs(file, self.config.logs), self.config)
+            return [self._written(one, f"{number}-{part}") for part, one in enumerate(found, 1)]
         except NarxcalError as error:
             return error
 
-    def _of_next(self, logs: list[Log], number: str) -> _Written:
-        # Nothing but `examine` refers to the log, which it lets go of.
-        report = examine(logs.pop(0), self.config)
+    def _written(self, report: LogReport, number: str) -> _Written:
+        columns = {"time_s": report.log.time_s, **report.log.channels}
         for form in self.forms:
-            _WRITERS[form](
-                self.folder / f"{number}{form}",
-                {"time_s": report.log.time_s, **report.log.channels},
-            )
+            _WRITERS[form](self.folder / f"{number}{form}", columns)
         page = PreparedLog.of(report.view(), report.trial, number)
         return _Written(report.without_samples(), report.to_dict(), page)
 
@@ -131,7 +122,6 @@ class _Work:
 
 
 def _prepared(files: Sequence[Path], work: _Work, jobs: int, console: Console) -> list[_Written]:
-    """Prepare the files in their order, however many at a time."""
     work.folder.mkdir()
     size = sum(file.stat().st_size for file in files if file.is_file())
     jobs = max(1, min(jobs, len(files), size // _BYTES_PER_PROCESS))

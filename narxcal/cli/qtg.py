@@ -87,7 +87,6 @@ def _check(options: Namespace) -> Path:
 
 
 def _settings(bundle: Bundle, options: Namespace) -> TransientsConfig:
-    """How the run judges its events, with the rules and the source of data of the options."""
     given = {"rules": options.rules, "data_source": options.data_source}
     return run_config(bundle)[1].transients.model_copy(
         update={name: value for name, value in given.items() if value}

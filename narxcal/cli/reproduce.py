@@ -9,10 +9,8 @@ from __future__ import annotations
 import shutil
 from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
-from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from eval import terminal
 from eval.judging.outcome import Outcome
@@ -22,7 +20,6 @@ from eval.reproduce.citation_x import CONTRADICTIONS
 from eval.reproduce.citation_x import reproduce as citation_x
 from eval.reproduce.data import (
     TABLE,
-    DataSets,
     Effort,
     flown,
     paper_scenario,
@@ -75,10 +72,14 @@ def run(options: Namespace, console: Console) -> int:
     with console.progress("Reading the data sets"):
         data = read_data_sets(config, base)
     iterations, splits = QUICK if options.quick else ((), 10)
-    found = _studied(data, Effort(iterations, splits, options.jobs), console)
-    _write(out, found, options)
+    with console.progress("Studies") as advance:
+        found = reproduce(data, Effort(iterations, splits, options.jobs), advance)
+    document = {**found.document(), "complete": True, "quick": options.quick, "seed": options.seed}
+    write_bundle(out / MODEL, found.bundle)
+    atomic_write_text(out / PAGE, reproduction_page(_header(found, options), found.studies))
+    atomic_write_text(out / DOCUMENT, to_json(document))
     _show_studies(console, found.studies, found.outcome)
-    console.finish(_document(found, options), f"Page: {options.out / PAGE}")
+    console.finish(document, f"Page: {options.out / PAGE}")
     return found.outcome.exit_code
 
 
@@ -123,7 +124,6 @@ def _begin(out: Path) -> None:
 
 
 def _flown_before(folder: Path) -> bool:
-    """Whether the folder is one of our own flights."""
     return (folder / TABLE).is_file()
 
 
@@ -140,32 +140,6 @@ def _placed(config: RunConfig, base: Path, out: Path, options: Namespace) -> Run
         return with_table(config, options.data) if _flown_before(options.data) else config
     write_records(out / FLIGHTS, paper_scenario(options.seed), options.jobs)
     return flown(config, base, out / FLIGHTS)
-
-
-def _studied(data: DataSets, effort: Effort, console: Console) -> Reproduction:
-    """Run the studies with one progress bar for each thing that takes time."""
-    with ExitStack() as stack:
-        shown: dict[str, Any] = {}
-
-        def progress(done: int, total: int, what: str = "") -> None:
-            if what not in shown:
-                stack.close()
-                shown[what] = stack.enter_context(console.progress(what))
-            if total:
-                shown[what](done, total)
-
-        return reproduce(data, effort, progress)
-
-
-def _document(found: Reproduction, options: Namespace) -> dict[str, Any]:
-    return {**found.document(), "complete": True, "quick": options.quick, "seed": options.seed}
-
-
-def _write(out: Path, found: Reproduction, options: Namespace) -> None:
-    write_bundle(out / MODEL, found.bundle)
-    html = reproduction_page(_header(found, options), found.studies)
-    atomic_write_text(out / PAGE, html)
-    atomic_write_text(out / DOCUMENT, to_json(_document(found, options)))
 
 
 def _header(found: Reproduction, options: Namespace) -> RunHeader:

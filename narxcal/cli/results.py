@@ -2,45 +2,37 @@
 
 from __future__ import annotations
 
-import json
 from argparse import Namespace
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data_prep.log import Log, Source
-from eval.judging.outcome import plural
-from eval.report.page import RunHeader
 from narxcal.channels import described
 from narxcal.cli.console import Console
 from narxcal.intervals import ENOUGH, LEVEL, HalfWidths
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import check_file
 from training.config import IdentifyConfig, RunConfig, load_config
-from training.responses.rules import Rules
 
 if TYPE_CHECKING:
+    from eval.report.page import RunHeader
     from narxcal.calibration.bundle import Bundle
     from narxcal.calibration.run_record import RunRecord, SteadyRecord
 
 
-def read_config(path: str, data: Path | None) -> tuple[RunConfig, Path]:
-    """Read CONFIG; `data` takes the place of `[logs] folder`.
+def read_config(path: str, data: Path | None, method: str | None = None) -> tuple[RunConfig, Path]:
+    """Read CONFIG; `data` takes the place of `[logs] folder`, `method` of that of `[identify]`.
 
     Returns the configuration and the folder that its paths are relative to; raises
     `ConfigError` as `load_config`.
     """
     config, base = load_config(path)
+    if method is not None:
+        table = {**config.identify.model_dump(), "method": method}
+        section = IdentifyConfig.parse(table, options={"method": f"--method {method}"})
+        config = config.model_copy(update={"identify": section})
     return config if data is None else config.with_logs_in(data), base
-
-
-def with_method(config: RunConfig, method: str | None) -> RunConfig:
-    """Return the configuration with [identify] method, if one is given; raises `ConfigError`."""
-    if method is None:
-        return config
-    table = {**config.identify.model_dump(), "method": method}
-    section = IdentifyConfig.parse(table, options={"method": f"--method {method}"})
-    return config.model_copy(update={"identify": section})
 
 
 def logs_for(
@@ -50,7 +42,7 @@ def logs_for(
 
     Warns of a held-out log whose file has changed since the training. Raises `DataError`.
     """
-    from eval.results import logs_of  # noqa: PLC0415 -- `prepare` needs no model
+    from eval.run_logs import logs_of  # noqa: PLC0415 -- `prepare` needs no model
 
     with console.progress("Reading the logs"):
         return logs_of(bundle, files, data, console.warn)
@@ -141,7 +133,7 @@ def interval_words(
     """Say what the interval of a model of the outputs `names` rests on, or that it has none."""
     if found is None:
         return "No interval: the model stores no errors of held-out logs"
-    logs = plural(found.pieces, "held-out log")
+    logs = f"{found.pieces} held-out log{'' if found.pieces == 1 else 's'}"
     few = ", so few that it is widened" if found.pieces < ENOUGH else ""
     pairs = zip(names, found.between, strict=False)
     levels = ", ".join(f"{name} {each:.2g} {described(name).unit}" for name, each in pairs)
@@ -172,34 +164,10 @@ def config_header(
     title: str, config: RunConfig, sources: Iterable[Source], cautions: Sequence[str]
 ) -> RunHeader:
     """Header of a page about logs and the configuration that they were read by."""
+    from eval.report.page import RunHeader  # noqa: PLC0415 -- `train` draws no page
+
     text = config.model_dump_json(by_alias=True, indent=1)
     return RunHeader(title=title, sources=data_files(sources), config=text, cautions=cautions)
-
-
-def header_of(
-    title: str, run: Path, bundle: Bundle, logs: Sequence[Log], found: Rules
-) -> RunHeader:
-    """Header of a page about the bundle in `run`; `found` are the Ti/Tt rules."""
-    from narxcal.calibration.bundle import read_document  # noqa: PLC0415 -- likewise
-
-    record = bundle.record
-    return RunHeader(
-        title=title,
-        run=str(run),
-        model=f"{bundle.calibration.words}, over {', '.join(bundle.calibration.input_names)}",
-        rules=found.name,
-        tolerances=f"Ti {found.Ti}; Tt {found.Tt} ({found.source})",
-        sources=data_files(log.source for log in logs),
-        versions=record.versions,
-        facts={
-            "Bundle": hash_words(read_document(run)["sha256"]),
-            "Interval": interval_words(
-                bundle.calibration.interval, names=bundle.calibration.output_names
-            ),
-            **_facts(record),
-        },
-        config=json.dumps(record.config, indent=1),
-    )
 
 
 def hash_words(sha256: str) -> str:
@@ -209,15 +177,3 @@ def hash_words(sha256: str) -> str:
 def data_files(sources: Iterable[Source]) -> list[Source]:
     """Every recording once, however many parts it was split into."""
     return list({(source.file, source.engine): source for source in sources}.values())
-
-
-def _facts(record: RunRecord) -> dict[str, str]:
-    split = record.split
-    facts = {f"{part.capitalize()} logs": ", ".join(logs) for part, logs in split.items() if logs}
-    facts["Steady state"] = steady_words(record)
-    facts["Lags"] = lag_words(record)
-    facts["Seeds"] = ", ".join(map(str, record.seeds))
-    if record.training.status:
-        facts["Training"] = f"{record.training.status}, {record.training.wall_s:.0f} s"
-    facts["Hardware"] = ", ".join(map(str, record.hardware.values()))
-    return {name: text for name, text in facts.items() if text}

@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 from argparse import ArgumentParser, Namespace
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -42,14 +41,6 @@ from training.screening.screen import screened
 
 SCHEMA = "narxcal.simulate/1"
 EFFECTS_SCHEMA, DOCUMENT = "narxcal.simulate_effects/1", "simulated.json"
-
-
-@dataclass(frozen=True, eq=False)
-class _Run:
-    """One log simulated: a table with `inside_envelope` and flags, and the log it came from."""
-
-    log: Log
-    table: pd.DataFrame
 
 
 def add_options(parser: ArgumentParser) -> None:
@@ -92,8 +83,8 @@ def run(options: Namespace, console: Console) -> int:
         console.warn(f"the model {settling.words}")
     logs = read_inputs(bundle, Path(options.inputs))
     runs = [_simulated(bundle.calibration, log, options.interval) for log in logs]
-    tables = [one.table for one in runs]
-    if len({one.log.source.engine for one in runs}) == 1:
+    tables = [table for _, table in runs]
+    if len({log.source.engine for log in logs}) == 1:
         tables = [table.drop(columns="engine") for table in tables]
     joined = pd.concat(tables).sort_values("time_s", kind="stable")
     joined["time_s"] = joined["time_s"].map(TIME_FORMAT.__mod__)
@@ -104,8 +95,8 @@ def run(options: Namespace, console: Console) -> int:
     for row in document["logs"]:
         outside = f", {row['outside']} outside the envelope" if row["outside"] else ""
         console.say(f"{row['log']}: {row['samples']} samples{outside}")
-    for one in runs:
-        for each in one.log.findings:
+    for log, _ in runs:
+        for each in log.findings:
             console.warn(each.caution)
     if options.interval is not None:
         console.say(interval_words(bundle.calibration.interval, options.interval))
@@ -132,7 +123,10 @@ def read_inputs(bundle: Bundle, file: Path) -> list[Log]:
     return screened(bank_of(bundle), [one.log for one in prepared])
 
 
-def _simulated(calibration: Calibration, log: Log, interval: float | None) -> _Run:
+def _simulated(
+    calibration: Calibration, log: Log, interval: float | None
+) -> tuple[Log, pd.DataFrame]:
+    """Return the log as it was run, and a table with `inside_envelope` and flags."""
     own = calibration_for(calibration, log)
     used = log.without_faults()
     known = np.isfinite(used.matrix([name for name in own.input_names if name in used.channels]))
@@ -150,29 +144,28 @@ def _simulated(calibration: Calibration, log: Log, interval: float | None) -> _R
     table["inside_envelope"] = own.steady.inside(inputs).astype(int)
     for name in own.output_names:
         table[f"{name}_valid"] = known.all(axis=1).astype(int)
-    return _Run(log, table)
+    return log, table
 
 
 _AUDITED = ("channel", "action", "samples", "reason")
 
 
-def _document(out: str, runs: Sequence[_Run]) -> dict[str, Any]:
+def _document(out: str, runs: Sequence[tuple[Log, pd.DataFrame]]) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
         "out": out,
         "logs": [
             {
-                "log": one.log.name,
-                "sha256": one.log.source.sha256,
-                "samples": len(one.table),
-                "outside": int((one.table["inside_envelope"] == 0).sum()),
-                "findings": [each.row() for each in one.log.findings],
+                "log": log.name,
+                "sha256": log.source.sha256,
+                "samples": len(table),
+                "outside": int((table["inside_envelope"] == 0).sum()),
+                "findings": [each.row() for each in log.findings],
                 "audit": [
-                    {key: getattr(entry, key) for key in _AUDITED}
-                    for entry in one.log.audit.entries
+                    {key: getattr(entry, key) for key in _AUDITED} for entry in log.audit.entries
                 ],
             }
-            for one in runs
+            for log, table in runs
         ],
     }
 

@@ -184,20 +184,19 @@ def _show(console: Console, folder: Path, bundle: Bundle) -> None:
         for row, after in zip(history, [*history[1:], None], strict=True)
         if after is None or after.iteration <= row.iteration
     ]
-    head = ["start", "horizon [s]", "steps", "training error"]
+    head = ["start", "horizon [s]", "steps", "training error", "validation error"]
     rows = [
         [
             str(row.start),
             f"{row.horizon_s:g}",
             str(row.iteration),
             f"{math.sqrt(2.0 * row.loss):.4f}",
+            "" if row.validation is None else f"{row.validation:.4f}",
         ]
         for row in ends
     ]
-    if any(row.validation is not None for row in ends):
-        head.append("validation error")
-        for cells, row in zip(rows, ends, strict=True):
-            cells.append("" if row.validation is None else f"{row.validation:.4f}")
+    if all(row.validation is None for row in ends):
+        head, rows = head[:-1], [cells[:-1] for cells in rows]
     console.table("Free-run error in scaled units at the end of each stage", head, rows)
     if bundle.record.interrupted:
         console.say("Interrupted: the best network so far was kept; --resume goes on with it.")

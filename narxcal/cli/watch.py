@@ -34,7 +34,6 @@ def add_options(parser: ArgumentParser) -> None:
 
 
 def _pattern(text: str) -> str:
-    """Regular expression with a group."""
     try:
         groups = re.compile(text).groups
     except re.error as error:

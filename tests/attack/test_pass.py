@@ -4,27 +4,13 @@ The engine, its network and the logs are those of tests/eval: a model that is ex
 log passes. `../../docs/reliability.md` P12.
 """
 
-import importlib.util
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from data_prep.prepare import Preparation, prepare
 from eval.judging.evaluate import evaluate
 from eval.run_logs import EvaluateConfig
-
-
-def engine():
-    """The module of tests/eval that makes the engine, its logs and its bundles."""
-    file = Path(__file__).parents[1] / "eval" / "conftest.py"
-    spec = importlib.util.spec_from_file_location("engine_of_lags", file)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-ENGINE = engine()
+from tests.eval import conftest as ENGINE  # noqa: N812
 
 
 def steps(channel, change):
@@ -106,7 +92,7 @@ def judged():
 
 def test_a_sound_log_passes_and_states_its_evidence(judged):
     found = judged(lambda log: log)
-    assert found.missed() == []
+    assert found.missed == []
     assert found.outcome.exit_code == 0
     (evidence,) = [line for line in found.outcome.lines if line.startswith("Evidence: ")]
     assert "1 new log" in evidence
@@ -117,7 +103,7 @@ def test_a_sound_log_passes_and_states_its_evidence(judged):
 def test_no_way_to_an_undeserved_pass(judged, way):
     found = judged(WAYS[way])
     assert found.outcome.exit_code == 1
-    assert found.missed()
+    assert found.missed
     assert found.document()["ok"] is False
 
 

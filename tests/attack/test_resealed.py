@@ -9,7 +9,7 @@ from eval.judging.evaluate import evaluate
 from narxcal.calibration.bundle import load_bundle, save_bundle
 from narxcal.calibration.certificate import certify
 from narxcal.support.errors import NarxcalError
-from tests.attack.test_pass import ENGINE
+from tests.eval import conftest as ENGINE  # noqa: N812
 from tests.fuzz import value_changed
 from training.screening.redundancy_fit import Pool
 

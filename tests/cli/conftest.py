@@ -92,6 +92,28 @@ def _slow_probe():
     return slow_probe
 
 
+@pytest.fixture(scope="session")
+def case(slow_probe, tmp_path_factory):
+    """Three flights with a probe that lags by 1.2 s, one held out, and the same without it."""
+    folder = tmp_path_factory.mktemp("case")
+    for seed in range(4):
+        real, sim = slow_probe(seed, 200.0, stay_s=20.0)
+        held = "_held" if seed == 3 else ""
+        for kind, table in (("sim", sim), ("real", real)):
+            (folder / f"{kind}{held}").mkdir(exist_ok=True)
+            table.to_csv(folder / f"{kind}{held}" / f"f{seed}.csv", index=False)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def diagnosed(case):
+    held = ["--heldout-real", str(case / "real_held"), "--heldout-sim", str(case / "sim_held")]
+    where = ["--real", str(case / "real"), "--sim", str(case / "sim")]
+    out = ["--out", str(case / "gap"), "--quiet"]
+    assert main(["diagnose", *where, *held, *out]) == 0
+    return case / "gap"
+
+
 @pytest.fixture
 def narxcal(capsys):
     """Run a command in this process: exit code, stdout and stderr."""
@@ -143,7 +165,7 @@ def shell():
     """Run the command as a user does, in a process of its own."""
 
     def run(*arguments, **options):
-        command = [sys.executable, "-m", "narxcal.cli", *map(str, arguments)]
+        command = [sys.executable, "-m", "narxcal", *map(str, arguments)]
         pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "env": environment()}
         return subprocess.run(command, text=True, check=False, **{**pipes, **options})
 
@@ -156,7 +178,7 @@ def start():
     with ExitStack() as stack:
 
         def run(*arguments):
-            command = [sys.executable, "-m", "narxcal.cli", *map(str, arguments)]
+            command = [sys.executable, "-m", "narxcal", *map(str, arguments)]
             pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "env": environment()}
             process = stack.enter_context(subprocess.Popen(command, text=True, **pipes))
             stack.callback(process.kill)

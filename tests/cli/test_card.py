@@ -10,7 +10,6 @@ import pytest
 from eval.cards.card import Wanted, calibration_card
 from eval.cards.information import Experiment, of_training
 from narxcal.calibration.bundle import load_bundle
-from narxcal.cli import main
 from narxcal.flight_test.moves import Limits, course
 from narxcal.flight_test.plan import FlightPlan, plan_flight
 
@@ -201,23 +200,9 @@ def test_twenty_minutes_tell_more_than_an_hour_in_line_or_as_long_of_the_enriche
     assert found > nats("enriched", 20.0, 11)
 
 
-@pytest.fixture(scope="module")
-def diagnosed(slow_probe, tmp_path_factory):
-    """A diagnosis of flights whose probe lags, of which `verdict` writes what it leaves open."""
-    folder = tmp_path_factory.mktemp("case")
-    for seed in range(3):
-        real, sim = slow_probe(seed, 200.0, stay_s=20.0)
-        for kind, table in (("sim", sim), ("real", real)):
-            (folder / kind).mkdir(exist_ok=True)
-            table.to_csv(folder / kind / f"f{seed}.csv", index=False)
-    where = ["--real", str(folder / "real"), "--sim", str(folder / "sim")]
-    assert main(["diagnose", *where, "--out", str(folder / "gap"), "--quiet"]) == 0
-    return folder / "gap"
-
-
 @pytest.fixture
 def verdict(diagnosed, tmp_path):
-    """A copy of the diagnosis with another verdict."""
+    """A copy of the diagnosis, of flights whose probe lags, with another verdict."""
 
     def write(**changed):
         copy = tmp_path / "gap"

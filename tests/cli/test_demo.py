@@ -1,4 +1,7 @@
-"""The demonstration, and forty ways to spoil the flights that it passes: none of them passes."""
+"""The demonstration, and ways to spoil the flights that it passes: none of them passes.
+
+More ways, of an exact engine: tests/attack/test_pass.py.
+"""
 
 import json
 
@@ -44,27 +47,14 @@ def late(v, seconds):
     return np.concatenate([np.full(seconds * RATE_HZ, v[0]), v[: -seconds * RATE_HZ]])
 
 
-def stuck(v, t):
-    begins = int(0.3 * len(v))
-    return np.where((t > t[begins]) & (t < t[begins] + 60.0), v[begins], v)
-
-
 def noise(size):
     return lambda v, _: v + np.random.default_rng(0).normal(0.0, size, len(v))
 
 
 CHANGED = {  # channel, function of its values and of time
-    "N1 in rpm": ("N1_pct", lambda v, _: 80.0 * v),
-    "N1 negative": ("N1_pct", lambda v, _: -v),
     "N1 lost at the end": ("N1_pct", lambda v, t: np.where(share(t) > 0.67, np.nan, v)),
     "N1 in pieces": ("N1_pct", lambda v, t: np.where(t % 4.0 < 2.0, np.nan, v)),
-    "N1 a second late": ("N1_pct", lambda v, _: late(v, 1)),
-    "N1 with noise": ("N1_pct", noise(3.0)),
-    "N1 drifts": ("N1_pct", lambda v, t: v + 4.0 * share(t)),
-    "N1 held": ("N1_pct", lambda v, _: v[np.arange(len(v)) // 64 * 64]),
-    "N1 spikes": ("N1_pct", lambda v, _: v + 20.0 * (np.arange(len(v)) % 80 < 3)),
     "N1 too high": ("N1_pct", lambda v, _: v + 2.0),
-    "N2 gain": ("N2_pct", lambda v, _: 1.05 * v),
     "N2 halved": ("N2_pct", lambda v, _: 0.5 * v),
     "N2 steps": ("N2_pct", lambda v, t: v + 1.5 * (share(t) > 0.5)),
     "EGT negative": ("EGT_C", lambda v, _: -v),
@@ -78,7 +68,6 @@ CHANGED = {  # channel, function of its values and of time
     "EGT too high": ("EGT_C", lambda v, _: v + 25.0),
     "WOW stuck at 0": ("WOW", lambda v, _: 0.0 * v),
     "WOW stuck at 1": ("WOW", lambda v, _: 0.0 * v + 1.0),
-    "lever stuck for 60 s": ("TRA_deg", stuck),
     "lever off": ("TRA_deg", lambda v, _: v + 5.0),
     "lever gain": ("TRA_deg", lambda v, _: 0.9 * v),
     "altitude in m": ("ALT_ft", lambda v, _: 0.3048 * v),
@@ -90,11 +79,8 @@ CHANGED = {  # channel, function of its values and of time
     "time stretched": ("time_s", lambda v, _: 2.0 * v),
     "time halved": ("time_s", lambda v, _: 0.5 * v),
 }
-SPOOLS = {"N1_pct": "N2_pct", "N2_pct": "N1_pct"}
 MADE_ANEW = {
-    "speeds exchanged": lambda table: table.rename(columns=SPOOLS),
     "half of the rows": lambda table: table[np.arange(len(table)) // 200 % 2 == 0],
-    "90 s": lambda table: table[: 90 * RATE_HZ],
     "no bleed": lambda table: table.assign(NAI=0, WAI=0, ECS=0),
     "cut before the first push": lambda table: table[: 20 * RATE_HZ],
 }
@@ -121,13 +107,11 @@ def bundle(demonstration):
 @pytest.mark.parametrize("way", [SOUND, *CHANGED, *MADE_ANEW])
 def test_no_way_to_an_undeserved_pass(demonstration, bundle, tmp_path, way):
     config, _ = run_config(bundle)
-    files = []
-    for number in (14,):
-        (flight,) = (demonstration / "flights").glob(f"flight_{number}_*")
-        files.append(tmp_path / f"new_{number}.csv")
-        changed(pd.read_csv(flight, comment="#"), way).to_csv(files[-1], index=False)
+    (flight,) = (demonstration / "flights").glob("flight_14_*")
+    file = tmp_path / "new.csv"
+    changed(pd.read_csv(flight, comment="#"), way).to_csv(file, index=False)
     try:
-        logs = [one.log for one in prepare(read_logs(files, config.logs), config)]
+        logs = [one.log for one in prepare(read_logs([file], config.logs), config)]
         found = evaluate(bundle, logs)
     except NarxcalError:  # refused
         return

@@ -29,9 +29,10 @@ def long(project, tmp_path):
     return tmp_path / "long.toml", tmp_path / "run"
 
 
-def wait_for(path, process):
+def wait_for(path, process, written=0):
+    """Wait for a file that is newer than `written`."""
     deadline = time.monotonic() + 600.0  # a busy machine is no failure
-    while not path.is_file():
+    while not path.is_file() or path.stat().st_mtime_ns <= written:
         assert process.poll() is None, process.stderr.read()
         assert time.monotonic() < deadline
         time.sleep(0.01)
@@ -42,7 +43,9 @@ def weights(run):
 
 
 @pytest.mark.slow
-def test_a_killed_training_leaves_no_model_and_resumes_to_the_same_one(long, start, narxcal):
+def test_a_training_that_is_killed_and_then_interrupted_ends_as_the_same_model(
+    long, start, narxcal
+):
     config, run = long
     process = start("train", config, "--out", run)
     wait_for(run / CHECKPOINT, process)
@@ -60,28 +63,21 @@ def test_a_killed_training_leaves_no_model_and_resumes_to_the_same_one(long, sta
     )
     assert narxcal("info", run).code == 2
 
-    assert narxcal("train", config, "--out", run, "--resume", "--quiet").code == 0
-    assert not (run / "checkpoints").exists()
-    whole = run.with_name("whole")
-    assert narxcal("train", config, "--out", whole, "--quiet").code == 0
-    assert weights(run) == weights(whole)
-
-
-@pytest.mark.slow
-def test_an_interrupted_training_keeps_the_best_and_can_go_on(long, start, narxcal):
-    config, run = long
-    process = start("train", config, "--out", run, "--json")
-    wait_for(run / CHECKPOINT, process)
+    written = (run / CHECKPOINT).stat().st_mtime_ns
+    process = start("train", config, "--out", run, "--resume", "--json")
+    wait_for(run / CHECKPOINT, process, written)
     process.send_signal(signal.SIGINT)
     out, err = process.communicate()
     assert (process.returncode, err) == (0, "")
     assert json.loads(out)["interrupted"] is True
     assert load_bundle(run).record.training.status.startswith("interrupted")
-    assert (run / "checkpoints").is_dir()
 
     done = narxcal("train", config, "--out", run, "--resume", "--json")
     assert json.loads(done.out)["interrupted"] is False
     assert not (run / "checkpoints").exists()
+    whole = run.with_name("whole")
+    assert narxcal("train", config, "--out", whole, "--quiet").code == 0
+    assert weights(run) == weights(whole)
 
 
 def test_resuming_a_complete_training_changes_nothing(project, narxcal):

@@ -143,91 +143,36 @@ MODULES = {
 }
 
 
-@pytest.mark.parametrize(
-    ("source", "more", "message"),
-    [
-        (
-            "airship",
-            (),
-            (
-                "'airship' is no run folder, table (.csv), FMU, module:function or virtual engine. "
-                "Virtual engines are business_jet and single_aisle"
-            ),
-        ),
-        (
-            "deck.fmu",
-            (),
-            (
-                "deck.fmu: an FMU does not say which of its variables to export. Name them with "
-                "--inputs and --outputs"
-            ),
-        ),
-        ("deck.csv", (), "deck.csv: the table does not exist"),
-        (
-            "wide:deck",
-            (),
-            (
-                "steady-state model 'wide:deck' returned (1, 9), expected (1, 1). Name its columns "
-                "with --inputs and --outputs"
-            ),
-        ),
-        (
-            "broken:deck",
-            (),
-            (
-                "steady-state model 'broken:deck' failed on inputs (1, 9): no such lever. Name its "
-                "columns with --inputs and --outputs"
-            ),
-        ),
-        (
-            MAKER,
-            ("--nodes", "Mach=fast"),
-            (
-                "cannot read the nodes 'Mach=fast'. Write NAME=VALUE, NAME=VALUE,VALUE,... or "
-                "NAME=LOW:HIGH:COUNT"
-            ),
-        ),
-        (
-            MAKER,
-            ("--nodes", "Mach=0:1:1000000000"),
-            (
-                "the nodes 'Mach=0:1:1000000000' are more than the limit of 100000 rows. Give "
-                "fewer nodes, or allow more rows by --max-rows"
-            ),
-        ),
-        (
-            MAKER,
-            ("--nodes", "Mach=0:1:0"),
-            (
-                "cannot read the nodes 'Mach=0:1:0'. Write NAME=VALUE, NAME=VALUE,VALUE,... or "
-                "NAME=LOW:HIGH:COUNT"
-            ),
-        ),
-        (
-            MAKER,
-            ("--nodes", "Mahc=0"),
-            "unknown channel 'Mahc'. Did you mean 'Mach'?",
-        ),
-        (
-            MAKER,
-            ("--nodes", "FF_kgph=0"),
-            f"'FF_kgph' is no input of the model. Inputs are {', '.join(INPUT_NAMES)}",
-        ),
-        (
-            MAKER,
-            ("--tolerance", "0"),
-            "expected a tolerance above 0 and below 100 %, got 0",
-        ),
-    ],
-)
-def test_what_cannot_be_exported_is_said_in_one_line(  # noqa: PLR0917
-    narxcal, tmp_path, monkeypatch, source, more, message
-):
+NAME_THEM = "Name its columns with --inputs and --outputs"
+HOW_NODES = "Write NAME=VALUE, NAME=VALUE,VALUE,... or NAME=LOW:HIGH:COUNT"
+REFUSED = {
+    "airship": "'airship' is no run folder, table (.csv), FMU, module:function or virtual engine. "
+    "Virtual engines are business_jet and single_aisle",
+    "deck.fmu": "deck.fmu: an FMU does not say which of its variables to export. Name them with "
+    "--inputs and --outputs",
+    "deck.csv": "deck.csv: the table does not exist",
+    "wide:deck": "steady-state model 'wide:deck' returned (1, 9), expected (1, 1). " + NAME_THEM,
+    "broken:deck": "steady-state model 'broken:deck' failed on inputs (1, 9): no such lever. "
+    + NAME_THEM,
+    f"{MAKER} --nodes Mach=fast": f"cannot read the nodes 'Mach=fast'. {HOW_NODES}",
+    f"{MAKER} --nodes Mach=0:1:1000000000": "the nodes 'Mach=0:1:1000000000' are more than the "
+    "limit of 100000 rows. Give fewer nodes, or allow more rows by --max-rows",
+    f"{MAKER} --nodes Mach=0:1:0": f"cannot read the nodes 'Mach=0:1:0'. {HOW_NODES}",
+    f"{MAKER} --nodes Mahc=0": "unknown channel 'Mahc'. Did you mean 'Mach'?",
+    f"{MAKER} --nodes FF_kgph=0": "'FF_kgph' is no input of the model. Inputs are "
+    + ", ".join(INPUT_NAMES),
+    f"{MAKER} --tolerance 0": "expected a tolerance above 0 and below 100 %, got 0",
+}
+
+
+@pytest.mark.parametrize("words", REFUSED)
+def test_what_cannot_be_exported_is_said_in_one_line(narxcal, tmp_path, monkeypatch, words):
     for name, text in MODULES.items():
         (tmp_path / f"{name}.py").write_text(text, "utf-8")
     monkeypatch.chdir(tmp_path)
+    source, *more = words.split()
     done = narxcal("export", source, "--to", "table", "--out", "out.csv", *more)
-    assert (done.code, done.out, done.err) == (2, "", f"narxcal: error: {message}\n")
+    assert (done.code, done.out, done.err) == (2, "", f"narxcal: error: {REFUSED[words]}\n")
     assert not (tmp_path / "out.csv").exists()
 
 

@@ -10,14 +10,10 @@ from narxcal.cli.app import main
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("module", "word", "code", "said"),
-    [("narxcal", "--version", 0, "narxcal"), ("narxcal.cli", "info", 2, "")],
-)
-def test_it_runs_as_a_module_where_no_script_is_installed(module, word, code, said, tmp_path):
-    command = [sys.executable, "-m", module, word]
+def test_it_runs_as_a_module_where_no_script_is_installed(tmp_path):
+    command = [sys.executable, "-m", "narxcal", "--version"]
     told = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
-    assert (told.returncode, told.stdout.partition(" ")[0]) == (code, said)
+    assert (told.returncode, told.stdout.partition(" ")[0]) == (0, "narxcal")
 
 
 @pytest.mark.parametrize(("asked", "given"), [(None, "1"), ("4", "4")])

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from eval.judging.compare import Recording, Row, compare
-from eval.judging.significance import differences, pass_differences
+from eval.judging.compare import Row, compare
+from eval.judging.significance import Recording, differences, pass_differences
 from eval.report.tables import comparison
 from narxcal.support.errors import DataError
 

@@ -37,6 +37,12 @@ def config():
     )  # fmt: skip
 
 
+def dividing(config, **how):
+    """The configuration with these divisions; `how` are keys of [evaluate.crossval]."""
+    evaluate = {"crossval": how, "largest_rmse": {"N1_pct": 5.0}}
+    return config.model_copy(update={"evaluate": evaluate})
+
+
 def unlike(make_log, *names):
     """Flights of one engine whose speeds differ by their build."""
     return [
@@ -54,8 +60,7 @@ def flights(make_log):
 def test_folds_are_judged_and_do_not_depend_on_the_number_of_processes(config, flights):
     seen = []
     one = cross_validate(config, Path(), flights, 1, lambda *done: seen.append(done[:2]))
-    whole = {"crossval": {"random_splits": 0}, "largest_rmse": {"N1_pct": 5.0}}
-    two = cross_validate(config.model_copy(update={"evaluate": whole}), Path(), flights, 2)
+    two = cross_validate(dividing(config, random_splits=0), Path(), flights, 2)
     same = [json.dumps(found.document()["schemes"][0]) for found in (one, two)]
     assert same[0] == same[1]
     assert seen == [(k, 4) for k in range(1, 5)]
@@ -81,9 +86,7 @@ def test_folds_are_judged_and_do_not_depend_on_the_number_of_processes(config, f
 
 def test_a_segment_without_valid_inputs_is_named_and_the_rest_judged(config, flights, mask):
     lost = mask(flights[0], "Mach", slice(None, 1000))
-    only = config.model_copy(
-        update={"evaluate": {"crossval": {"leave_one_flight_out": False, "random_splits": 3}}}
-    )
+    only = dividing(config, leave_one_flight_out=False, random_splits=3)
     found = cross_validate(only, Path(), [lost, flights[1]], 1)
     named = {name for fold in found.folds for name in fold.not_judged}
     assert named
@@ -97,16 +100,46 @@ def test_one_flight_alone_is_divided_by_event_and_says_so(config, flights):
     assert "takes two flights or more, found 1" in found.skipped["leave one flight out"]
 
 
-def test_where_nothing_can_be_divided_it_is_refused(config, flights):
-    still = replace(flights[0], time_s=flights[0].time_s)
-    still = still.with_channels({"TRA_deg": np.full(len(still), 30.0)})
-    only = config.model_copy(update={"evaluate": {"crossval": {"leave_one_flight_out": False}}})
-    expected = (
-        "no division of the logs is possible: expected at least two events to divide, found 0. "
-        "Check [events], or set random_splits = 0"
-    )
+def without(log, name):
+    return replace(log, channels={k: v for k, v in log.channels.items() if k != name})
+
+
+def held(log):
+    return log.with_channels({"TRA_deg": np.full(len(log), 30.0)})
+
+
+@pytest.mark.parametrize(
+    ("how", "change", "problem"),
+    [
+        (
+            {"leave_one_flight_out": False},
+            lambda logs: [held(logs[0])],
+            (
+                "expected at least two events to divide, found 0. Check [events], or set "
+                "random_splits = 0"
+            ),
+        ),
+        (
+            {"leave_one_flight_out": False, "random_splits": 0},
+            lambda logs: logs,
+            "[evaluate.crossval] demands none",
+        ),
+        (
+            {"random_splits": 0},
+            lambda logs: [without(logs[0], "N1_pct"), logs[1]],
+            (
+                "channel N1_pct: without b.csv:left, no sample of this output is left to learn "
+                "from. Take it out of [narx] outputs, or add logs that have it"
+            ),
+        ),
+    ],
+)
+def test_where_nothing_can_be_divided_it_is_refused_before_the_work(
+    config, flights, how, change, problem
+):
+    expected = f"no division of the logs is possible: {problem}"
     with pytest.raises(DataError, match=f"^{re.escape(expected)}$"):
-        cross_validate(only, Path(), [still], 1)
+        cross_validate(dividing(config, **how), Path(), change(flights), 1)
 
 
 def fold(name, **values):
@@ -127,7 +160,7 @@ def test_what_is_missed_names_scheme_and_fold():
         fold("2", **{"rmse.N1_pct": 4.0, "assessed": 10, "passed": 9}),
     )
     found = CrossValidation(folds, EvaluateConfig(largest_rmse={"N1_pct": 5.0}))
-    assert found.missed() == [
+    assert found.missed == [
         "leave one flight out: 18 of 20 transients pass (90.0 %), at least 95 % have to",
         "leave one flight out, 1: N1_pct RMSE 6, at most 5 allowed",
     ]
@@ -137,38 +170,15 @@ def test_what_is_missed_names_scheme_and_fold():
 
 def test_a_scheme_without_an_assessed_transient_is_no_pass():
     found = CrossValidation((fold("1", assessed=0, passed=0),), EvaluateConfig())
-    assert found.missed() == ["leave one flight out: no transient could be assessed"]
+    assert found.missed == ["leave one flight out: no transient could be assessed"]
     assert found.outcome.exit_code == 1
-
-
-def test_a_configuration_without_any_division_is_refused(config, flights):
-    none = {"crossval": {"leave_one_flight_out": False, "random_splits": 0}}
-    expected = "no division of the logs is possible: [evaluate.crossval] demands none"
-    with pytest.raises(DataError, match=f"^{re.escape(expected)}$"):
-        cross_validate(config.model_copy(update={"evaluate": none}), Path(), flights, 1)
-
-
-def without(log, name):
-    return replace(log, channels={k: v for k, v in log.channels.items() if k != name})
 
 
 def test_an_output_that_a_flight_lacks_is_learned_from_the_others(config, make_log):
     flights = unlike(make_log, "a", "b", "c")
     flights[0] = without(flights[0], "N1_pct")
-    whole_flights = config.model_copy(update={"evaluate": {"crossval": {"random_splits": 0}}})
-    folds = cross_validate(whole_flights, Path(), flights, 1).folds
+    folds = cross_validate(dividing(config, random_splits=0), Path(), flights, 1).folds
     values = {fold.name: fold.figures for fold in folds}
     assert values["without a.csv:left"]["rmse.N1_pct"] is None
     assert values["without a.csv:left"]["assessed"] > 0
     assert values["without b.csv:left"]["rmse.N1_pct"] < 1.0
-
-
-def test_a_division_that_holds_back_all_of_an_output_is_told_before_the_work(config, flights):
-    flights[0] = without(flights[0], "N1_pct")
-    whole_flights = config.model_copy(update={"evaluate": {"crossval": {"random_splits": 0}}})
-    with pytest.raises(DataError) as caught:
-        cross_validate(whole_flights, Path(), flights, 1)
-    assert str(caught.value) == (
-        "no division of the logs is possible: channel N1_pct: without b.csv:left, no sample of "
-        "this output is left to learn from. Take it out of [narx] outputs, or add logs that have it"
-    )

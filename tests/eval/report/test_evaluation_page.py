@@ -51,7 +51,7 @@ def test_residuals_are_those_of_the_scored_rows_and_of_moving_inputs(slow):
 def test_a_missed_tolerance_leads_the_verdict(slow):
     assert slow.outcome.passed is False
     assert slow.outcome.exit_code == 1
-    assert slow.outcome.lines[0] == f"{slow.missed()[0]}."
+    assert slow.outcome.lines[0] == f"{slow.missed[0]}."
 
 
 def test_nothing_to_assess_is_no_pass(make_bundle, make_log):
@@ -61,7 +61,7 @@ def test_nothing_to_assess_is_no_pass(make_bundle, make_log):
     assert result.outcome.exit_code == 1
     assert result.outcome.headline == "No event could be assessed for Ti and Tt"
     expected = "Ti/Tt of engine left: no transient could be assessed (no event was found)"
-    assert result.missed() == [expected]
+    assert result.missed == [expected]
     assert result.document()["ok"] is False
 
 
@@ -75,7 +75,7 @@ def test_a_model_without_a_channel_of_the_rules_says_so_and_not_that_nothing_mov
         "before training, name channels and their least_response in [evaluate.transients]"
     )
     expected = f"Ti/Tt of engine left: no transient could be assessed ({reason})"
-    assert expected in result.missed()
+    assert expected in result.missed
 
 
 def test_an_engine_of_which_nothing_could_be_assessed_is_no_pass(make_bundle, make_log, mask):
@@ -85,7 +85,7 @@ def test_an_engine_of_which_nothing_could_be_assessed_is_no_pass(make_bundle, ma
     reason = "inputs are missing at 101 to 107 samples"
     expected = f"Ti/Tt of engine right: no transient could be assessed ({reason})"
     none = "0 % of it is judged (inputs are missing), at least 90 % have to be"
-    assert result.missed() == [
+    assert result.missed == [
         *(f"flight.csv:right: {name} is not assessable, {none}" for name in ("N1_pct", "N2_pct")),
         expected,
     ]

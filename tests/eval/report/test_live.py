@@ -17,8 +17,9 @@ from hypothesis import strategies as st
 from pypdf import PdfReader
 
 from data_prep.log import Log
-from eval.judging.compare import Comparison, Recording, Row
+from eval.judging.compare import Comparison, Row
 from eval.judging.outcome import Outcome
+from eval.judging.significance import Recording
 from eval.report import live
 from eval.report.live import Chart, Line, Mark, Panel
 from eval.report.page import compare_page, evaluate_page
