@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
 from pathlib import PurePath
@@ -512,10 +512,9 @@ def _times(check: TimeCheck | None) -> list[str]:
             f"{check.allowed_s:.3f}"]  # fmt: skip
 
 
-def _of_master(row: object, name: str, now: TimeCheck | None) -> list[str]:
+def _of_master(row: Mapping[str, Any], name: str, now: TimeCheck | None) -> list[str]:
     """The master's simulated time, and by how much this run differs from it."""
-    found = row.get(name) if isinstance(row, dict) else None
-    model = found.get("model") if isinstance(found, dict) else None
+    model = row[name]["model"]
     if model is None:
         return ["-"] * 4
     change = "-" if now is None else f"{now.model_s - model:+.3f}"
