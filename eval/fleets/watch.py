@@ -504,7 +504,7 @@ def commands(alarm: Alarm, flights: str = "FLIGHTS", run: str = "RUN") -> tuple[
         listed = " ".join(shlex.quote(f"{flights}/{file}") for file in files)
         found += [
             f"mkdir {name} && cp {listed} {name}/",
-            f"narxcal diagnose --real {name} --sim {run} --out gap-{name}",
+            f"narxcal diagnose --real {name} --sim {shlex.quote(run)} --out gap-{name}",
         ]
     return tuple(found)
 
