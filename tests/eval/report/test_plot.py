@@ -173,8 +173,8 @@ def test_the_plot_of_a_network_is_a_comparison_of_its_free_run():
 
 U = np.zeros(100)
 MODELS = (
-    "expected a model, found str. Pass a run, a bundle, a Calibration, a Narx, or the outputs of any "
-    "other as an array"
+    "expected a model, found str. Pass a run, a bundle, a Calibration, a Narx, or the outputs of "
+    "any other as an array"
 )
 EVENTS = "expected what prepare or evaluate give, found data of type tuple"
 STILL = "record 1: y1 does not follow u1 at any frequency"

@@ -75,14 +75,13 @@ def evaluation(header, view, evaluated, outcome_of) -> str:
     return evaluate_page(header, [view(one=one)], outcome_of(one))
 
 
-def test_every_page_is_sound_escaped_and_self_contained(evaluation, header, view, sound_page):
-    pages = [
-        evaluation,
-        prepared_page(header, without_model(view())),
-        crossval_page(header, folds([1.0, 6.0])),
-    ]
-    for html in pages:
+def test_every_page_is_sound_escaped_self_contained_and_the_same_bytes(
+    evaluation, header, view, sound_page
+):
+    prepared = prepared_page(header, without_model(view()))
+    for html in (evaluation, prepared, crossval_page(header, folds([1.0, 6.0]))):
         assert HOSTILE in "".join(sound_page(html).text)
+    assert prepared == prepared_page(header, without_model(view()))  # the same bytes each time
 
 
 def test_drawings_do_not_take_the_colours_of_the_page(evaluation):
@@ -105,16 +104,11 @@ def test_on_paper_two_drawings_fit_under_each_other(evaluation):
     assert "figure, .verdict, .tile, tr { break-inside: avoid; }" in printed
 
 
-def test_cautions_stand_at_the_head_of_a_page(header, view):
+def test_cautions_stand_at_the_head_of_a_page(header):
     cautioned = replace(header, cautions=[HOSTILE])
-    html = prepared_page(cautioned, without_model(view()))
+    html = crossval_page(cautioned, folds([1.0]))
     assert '<ul class="warnings"><li>&lt;script&gt;' in html[: html.index("</header>")]
-    assert '<ul class="warnings">' not in prepared_page(header, without_model(view()))
-
-
-def test_a_page_is_the_same_bytes_each_time(header, view):
-    outcome = Outcome(passed=True, headline="h")
-    assert evaluate_page(header, [view()], outcome) == evaluate_page(header, [view()], outcome)
+    assert '<ul class="warnings">' not in crossval_page(header, folds([1.0]))
 
 
 def test_the_page_says_in_words_how_many_transients_pass(evaluation):
@@ -186,16 +180,16 @@ def test_each_event_card_shows_its_outcome_and_reason(evaluation):
 
 
 def test_the_lowest_rmse_of_a_row_is_marked_and_a_better_baseline_is_named(
-    header, view, evaluated, outcome_of, score
+    view, evaluated, outcome_of, score
 ):
-    one = evaluated()
-    ahead = evaluate_page(header, [view(one=one)], outcome_of(one))
-    assert '<td class="best num">0.812</td>' in ahead
-    assert "lowest free-run RMSE of all models in N1." in ahead
-    behind = replace(one, scores={"N1_pct": score(arx_rmse=0.5)})
-    html = evaluate_page(header, [view(one=behind)], outcome_of(behind))
-    assert '<td class="best num">0.500</td>' in html
-    assert "in no channel; a baseline does better in N1." in html
+    for found, best, words in (
+        (score(), "0.812", "lowest free-run RMSE of all models in N1."),
+        (score(arx_rmse=0.5), "0.500", "in no channel; a baseline does better in N1."),
+    ):
+        one = replace(evaluated(), scores={"N1_pct": found})
+        (row,) = tables.scores([view(one=one)]).rows[1:]
+        assert [cell.text for cell in row if cell.mark == "best"] == [best]
+        assert words in " ".join(outcome_of(one).lines)
 
 
 def test_failed_events_are_shown_large_before_passed_ones(view):
@@ -220,11 +214,12 @@ def test_times_of_a_log_with_dates_are_elapsed_with_date_and_clock(header, view,
     assert seconds == ["1741907464"]  # for the script, once
 
 
-def test_a_log_without_events_or_residuals_or_audit_still_makes_a_page(view, sound_page):
+def test_a_log_without_events_or_residuals_or_audit_or_a_channel_still_makes_a_page(
+    view, sound_page
+):
     made = view()
-    bare = replace(
-        made, log=replace(made.log, audit=Audit()), events=[], residuals=[], pearson=None
-    )
+    log = made.log.with_channels({"N1_pct": np.full(900, np.nan)})  # masked throughout
+    bare = replace(made, log=replace(log, audit=Audit()), events=[], residuals=[], pearson=None)
     header = RunHeader(title="t", created="now")
     html = evaluate_page(header, [bare], Outcome(passed=None, headline="h"))
     assert "No event was found in this log." in html
@@ -239,13 +234,6 @@ def test_drawing_a_log_in_which_no_input_moves_leaks_no_warning(view):
         warnings.simplefilter("error")
         [drawn] = residual_tests(alone)
     assert "autocorrelation" in drawn.svg
-
-
-def test_a_channel_that_is_masked_throughout_still_makes_a_page(header, view, sound_page):
-    made = view()
-    gone = made.log.with_channels({"N1_pct": np.full(900, np.nan)})
-    bare = replace(made, log=gone, events=[])
-    sound_page(evaluate_page(header, [bare], Outcome(passed=None, headline="h")))
 
 
 def test_the_prepare_page_shows_no_model_and_no_verdict(header, view):
@@ -318,17 +306,12 @@ def test_many_logs_of_a_fold_are_counted_in_the_table_and_named_below(header, te
     assert f"tested on {named or shown}" in crossval_page(header, made)
 
 
-def test_crossval_shows_the_spread_and_marks_what_is_over_the_limit(header):
-    html = crossval_page(header, folds([1.0, 2.0, 6.0]))
-    assert '<td class="bad num">6.00</td>' in html
-    for figure in ("3.00", "2.65", "1.00"):  # mean, sample deviation, least
-        assert f'<td class="strong num">{figure}</td>' in html
-
-
-def test_a_fold_without_a_figure_shows_a_dash_and_is_left_out_of_the_spread(header):
-    html = crossval_page(header, folds([1.0, None, 3.0]))
-    assert '<td class=" num">–</td>' in html  # noqa: RUF001 - the dash of the page
-    assert '<td class="strong num">2.00</td>' in html
+def test_crossval_shows_the_spread_marks_what_is_over_the_limit_and_leaves_out_what_is_unknown():
+    *_, last, mean, deviation, least, _ = tables.folds(folds([1.0, 2.0, 6.0]), HOSTILE).rows
+    assert (last[-1].text, last[-1].mark) == ("6.00", "bad")
+    assert [row[-1].text for row in (mean, deviation, least)] == ["3.00", "2.65", "1.00"]
+    _, unknown, _, mean, *_ = tables.folds(folds([1.0, None, 3.0]), HOSTILE).rows
+    assert [unknown[-1].text, mean[-1].text] == ["\N{EN DASH}", "2.00"]
 
 
 def test_the_page_of_an_80_minute_log_at_32_hz_with_40_events_stays_small(header, view):
