@@ -81,11 +81,11 @@ class PreparedLog:
     name: str
     number: str
     events: int
-    trial: figures.WindowTrial
+    trial: tables.WindowTrial
     parts: Mapping[str, bytes]
 
     @classmethod
-    def of(cls, view: LogView, trial: figures.WindowTrial, number: str) -> PreparedLog:
+    def of(cls, view: LogView, trial: tables.WindowTrial, number: str) -> PreparedLog:
         """Make the tables of one log."""
         macros = _macros()
         parts = {"ranking": macros.rankings([view]), "audit": macros.audits([view])}

@@ -19,7 +19,7 @@ from eval.judging.trim import Trim
 from eval.preparation import most_to_show
 from eval.report import tables
 from eval.report.event_figures import summary_figure
-from eval.report.figures import WindowTrial, residual_tests
+from eval.report.figures import residual_tests
 from eval.report.page import (
     PreparedLog,
     RunHeader,
@@ -29,6 +29,7 @@ from eval.report.page import (
     worst_events,
 )
 from eval.report.style import number
+from eval.report.tables import WindowTrial
 from eval.report.view import LogView
 from eval.run_logs import EvaluateConfig
 from training.responses.transients import AssessedEvent
