@@ -186,7 +186,6 @@ class Test:
 
     @property
     def manoeuvre(self) -> Manoeuvre:
-        """What the rules ask to be flown for this direction."""
         return self.rules.manoeuvres[self.one.event.label]
 
     @property
@@ -262,7 +261,6 @@ def result_of(one: AssessedEvent, deciding: Sequence[str]) -> bool | None:
 
 
 def usual_title(manoeuvre: Manoeuvre, one: AssessedEvent, log: Log) -> str:
-    """Title of a test that is not given one."""
     when = log.moment(one.event.start_s, decimals=2)
     return f"{manoeuvre.title}, {one.event.speed}, {log.name} at {when}"
 
@@ -315,7 +313,6 @@ class Guide:
 
     @property
     def rules(self) -> Rules:
-        """The rule set with its tolerances for the source of the data."""
         return self.settings.rule_set
 
     @property
@@ -325,7 +322,6 @@ class Guide:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Tests by result, in the order PASS, FAIL, NOT ASSESSED."""
         found = Counter(WORDS[test.result] for test in self.tests)
         return {word: found[word] for word in WORDS.values()}
 
@@ -505,7 +501,6 @@ def _entry(one: Found, *, use: bool) -> Entry:
 def _matched(
     found: Sequence[Found], file: Path, listed: Sequence[Entry]
 ) -> list[tuple[Found, Entry]]:
-    """Each entry with its event: that of its log within half a sample."""
     named: dict[int, tuple[Found, Entry]] = {}
     for entry in listed:
         own = [one for one in found if one.at[0] == entry.log]

@@ -177,7 +177,6 @@ def _lone_spikes(time: FloatArray, max_gap_s: float) -> BoolArray:
 
 
 def split_at_gaps(time: FloatArray, max_gap_s: float) -> list[slice]:
-    """Stretches of rows without a step longer than `max_gap_s`."""
     cuts = np.flatnonzero(np.diff(time) > max_gap_s) + 1
     edges = [0, *cuts.tolist(), len(time)]
     return [slice(start, stop) for start, stop in pairwise(edges)]

@@ -165,7 +165,6 @@ class Batch:
 
     @property
     def part(self) -> str:
-        """Name of its part in each table."""
         return f"{_folder(self.tail)}/{self.number:05d}.parquet"
 
 

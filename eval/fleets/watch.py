@@ -71,7 +71,6 @@ class Key(NamedTuple):
 
     @property
     def unit(self) -> str:
-        """Unit of the values; empty for an output without one."""
         found = described(self.channel).unit if self.quantity == "offset" else "s"
         return "" if found == "-" else found
 
@@ -515,7 +514,6 @@ def _remarks(
     unjudged: Mapping[str, int],
     effects: Sequence[Effects],
 ) -> Iterator[str]:
-    """What a reader has to know of the dataset; `unjudged` are tails with their flights."""
     if waiting:
         yield f"{waiting} of the listed batches are not evaluated yet: go on with narxcal fleet"
     failed = int((logs["status"] == FAILED).sum())

@@ -79,7 +79,6 @@ def _deviation(axes: Axes, time: FloatArray, name: str, deviation: FloatArray) -
 
 
 def residual_tests(view: LogView) -> list[Picture]:
-    """Residual autocorrelation and input cross-correlations of every channel with 95 % bands."""
     return [_residual_test(view.name, part) for part in view.residuals]
 
 
@@ -98,7 +97,6 @@ _CHANCE = "no input correlates more than chance allows (1 % over all lags)"
 
 
 def _judgement(part: ResidualTests) -> str:
-    """Say in words what the bands show, as far as it can be judged."""
     name = symbol(part.channel)
     white = whiteness(part.auto)
     texts = []

@@ -176,7 +176,6 @@ def to_pdf(pages: Iterable[Page], total: int, title: str) -> bytes:
 
 
 def line_mm(size: float) -> float:
-    """Distance of two lines of text in mm."""
     return size * _POINT_MM * _LEADING
 
 

@@ -179,7 +179,6 @@ def _with_room(guide: Guide, pages: list[Page], height: float) -> Page:
 def _tabled(
     guide: Guide, page: Page, columns: Sequence[Column], rows: Sequence[Sequence[str]]
 ) -> list[Page]:
-    """Return `page` with the table, and further pages as long as rows are left."""
     pages, done = [page], page.table(columns, rows)
     while done < len(rows):
         pages.append(_page(guide, "continued"))
@@ -383,7 +382,6 @@ def _driven(guide: Guide, test: Test, rows: slice) -> str:
 
 
 def _marks(guide: Guide) -> str:
-    """How far tolerances and definitions of the rule set are verified."""
     wanted = ("Tolerances", "Ti and Tt")
     marks = [f"{one.subject}: {one.mark}" for one in guide.rules.clauses if one.subject in wanted]
     return "; ".join(marks)
@@ -513,7 +511,6 @@ def _times(check: TimeCheck | None) -> list[str]:
 
 
 def _of_master(row: Mapping[str, Any], name: str, now: TimeCheck | None) -> list[str]:
-    """The master's simulated time, and by how much this run differs from it."""
     model = row[name]["model"]
     if model is None:
         return ["-"] * 4

@@ -74,7 +74,6 @@ class Table:
 
 
 def figure(value: float | None, mark: Mark = "", digits: int = 3) -> Cell:
-    """Put a number into a cell."""
     return Cell(number(value, digits), mark, number=True)
 
 
@@ -183,7 +182,6 @@ def audit(log: Log, caption: str) -> Table:
 
 
 def _together(entries: Iterable[AuditEntry]) -> list[AuditEntry]:
-    """Entries of one channel, action and reason as one."""
     found: dict[tuple[str, str, str], AuditEntry] = {}
     for entry in entries:
         key = entry.channel, entry.action, entry.reason
@@ -289,7 +287,6 @@ def folds(found: CrossValidation, scheme: str) -> Table:
 
 
 def fold_name(fold: FoldResult) -> str:
-    """Its name, and the seed that drew it."""
     return fold.name if fold.seed is None else f"{fold.name}, seed {fold.seed}"
 
 
