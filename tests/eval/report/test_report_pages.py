@@ -28,7 +28,6 @@ from eval.report.page import (
     prepare_page,
     worst_events,
 )
-from eval.report.style import number
 from eval.report.tables import WindowTrial
 from eval.report.view import LogView
 from eval.run_logs import EvaluateConfig
@@ -142,14 +141,6 @@ def test_equal_repairs_of_a_channel_stand_in_one_row():
         ["N1_pct", "repaired", "spiking", "4", "; ".join(["t+0:01.0 to t+0:02.0"] * 2)],
         ["N2_pct", "repaired", "spiking", "5", "–"],  # noqa: RUF001 - the dash of the page
     ]
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [(0.9997, "1.00"), (1.0004, "1.00"), (0.09996, "0.100"), (99.96, "100"), (7.125, "7.12")],
-)
-def test_numbers_have_three_digits_after_rounding(value, text):
-    assert number(value) == text
 
 
 def test_events_that_are_not_assessable_count_on_neither_side(evaluated, outcome_of):
