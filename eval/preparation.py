@@ -17,7 +17,7 @@ from data_prep.events import PUSH, Event
 from data_prep.log import Log
 from data_prep.prepare import LogWarning, Prepared, in_lines
 from data_prep.ranking import STRONG, pearson, ranked
-from eval.report.figures import WindowTrial
+from eval.report.tables import WindowTrial
 from eval.report.view import LogView
 from narxcal.support.errors import DataError
 from training.config import RunConfig

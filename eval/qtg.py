@@ -171,32 +171,83 @@ def _identity(sha256: str, log: str, start_s: float) -> tuple[str, str, float]:
 
 
 @dataclass(frozen=True, eq=False)
-class Test:
-    """One sheet: an event of a log with its results, and `recorded`, the log before smoothing."""
+class Found:
+    """An event of a log, judged by the rules; `recorded` is the log before smoothing."""
+
+    view: LogView
+    one: AssessedEvent
+    recorded: Log | None
+    rules: Rules
+
+    @property
+    def at(self) -> tuple[str, float]:
+        """Log and time in seconds, by which a file of tests names it."""
+        return self.view.log.name, self.one.event.start_s
+
+    @property
+    def identity(self) -> tuple[str, str, float]:
+        return _identity(self.view.log.source.sha256, *self.at)
+
+    @property
+    def manoeuvre(self) -> Manoeuvre:
+        return self.rules.manoeuvres[self.one.event.label]
+
+    @property
+    def usual_title(self) -> str:
+        log, event = self.view.log, self.one.event
+        when = log.moment(event.start_s, decimals=2)
+        return f"{self.manoeuvre.title}, {event.speed}, {log.name} at {when}"
+
+    @property
+    def condition_met(self) -> bool | None:
+        """In approach where that is recorded, or on the ground; None if it has to be confirmed."""
+        log, start, ground = self.view.log, self.one.event.start, self.manoeuvre.ground
+        if ground is None:
+            return True
+        wow = float(log["WOW"][start]) if "WOW" in log.channels else math.nan
+        if not math.isfinite(wow):
+            return None
+        if (wow == 1.0) is not ground:
+            return False
+        approach = "Approach" in log.channels and log["Approach"][start] == 1.0
+        return True if ground or approach else None
+
+    def result_by(self, deciding: Sequence[str]) -> bool | None:
+        """Whether every deciding channel that could be assessed passes; None if none could."""
+        found = tuple(each for each in self.one.assessments if each.channel in deciding)
+        return AssessedEvent(self.one.event, found).ok
+
+    def reason(self, deciding: Sequence[str]) -> str:
+        """Why it is no test by itself; empty where it is one."""
+        event, how = self.one.event, self.manoeuvre
+        if event.speed != "fast":
+            return f"the movement is {event.speed}"
+        if self.condition_met is False:
+            return f"flown elsewhere than {how.number} requires ({how.condition})"
+        if self.result_by(deciding) is None:
+            reasons = [e.verdict.reason for e in self.one.assessments if e.channel in deciding]
+            return reasons[0] or "" if reasons else "no deciding channel is recorded"
+        return ""
+
+
+@dataclass(frozen=True, eq=False)
+class Test(Found):
+    """One sheet: an event with its entry of the file of tests and its number."""
 
     __test__ = False  # no test of pytest
 
     entry: Entry
     number: str
-    view: LogView
-    one: AssessedEvent
     deciding: tuple[str, ...]
-    rules: Rules
-    recorded: Log | None = None
     master: MasterTest | None = None
 
     @property
-    def manoeuvre(self) -> Manoeuvre:
-        """What the rules ask to be flown for this direction."""
-        return self.rules.manoeuvres[self.one.event.label]
-
-    @property
     def title(self) -> str:
-        return self.entry.title or usual_title(self.manoeuvre, self.one, self.view.log)
+        return self.entry.title or self.usual_title
 
     @property
     def result(self) -> bool | None:
-        return result_of(self.one, self.deciding)
+        return self.result_by(self.deciding)
 
     @property
     def otherwise(self) -> bool | None:
@@ -204,10 +255,6 @@ class Test:
         found = [one.verdict.otherwise for one in self.one.assessments
                  if one.channel in self.deciding]  # fmt: skip
         return next((ok for ok in found if ok is not None), None)
-
-    @property
-    def condition_met(self) -> bool | None:
-        return _condition_met(self.view.log, self.one.event.start, self.manoeuvre)
 
     def row(self) -> dict[str, Any]:
         """One entry of `tests` in `qtg.json`; `results` are rows of `evaluate.json`."""
@@ -243,62 +290,6 @@ class Test:
         }
 
 
-def _condition_met(log: Log, start: int, manoeuvre: Manoeuvre) -> bool | None:
-    """In approach where that is recorded, or on the ground; None where it has to be confirmed."""
-    if manoeuvre.ground is None:
-        return True
-    wow = float(log["WOW"][start]) if "WOW" in log.channels else math.nan
-    if not math.isfinite(wow):
-        return None
-    if (wow == 1.0) is not manoeuvre.ground:
-        return False
-    approach = "Approach" in log.channels and log["Approach"][start] == 1.0
-    return True if manoeuvre.ground or approach else None
-
-
-def result_of(one: AssessedEvent, deciding: Sequence[str]) -> bool | None:
-    """Whether every deciding channel that could be assessed passes; None if none could."""
-    found = tuple(each for each in one.assessments if each.channel in deciding)
-    return AssessedEvent(one.event, found).ok
-
-
-def usual_title(manoeuvre: Manoeuvre, one: AssessedEvent, log: Log) -> str:
-    """Title of a test that is not given one."""
-    when = log.moment(one.event.start_s, decimals=2)
-    return f"{manoeuvre.title}, {one.event.speed}, {log.name} at {when}"
-
-
-@dataclass(frozen=True, eq=False)
-class Found:
-    """All events of the logs, in order, with the log that each belongs to."""
-
-    view: LogView
-    one: AssessedEvent
-    recorded: Log | None
-
-    @property
-    def at(self) -> tuple[str, float]:
-        """Log and time in seconds, by which a file of tests names it."""
-        return self.view.log.name, self.one.event.start_s
-
-    @property
-    def identity(self) -> tuple[str, str, float]:
-        return _identity(self.view.log.source.sha256, *self.at)
-
-    def reason(self, deciding: Sequence[str], rules: Rules) -> str:
-        """Why it is no test by itself; empty where it is one."""
-        event = self.one.event
-        if event.speed != "fast":
-            return f"the movement is {event.speed}"
-        how = rules.manoeuvres[event.label]
-        if _condition_met(self.view.log, event.start, how) is False:
-            return f"flown elsewhere than {how.number} requires ({how.condition})"
-        if result_of(self.one, deciding) is None:
-            reasons = [e.verdict.reason for e in self.one.assessments if e.channel in deciding]
-            return reasons[0] or "" if reasons else "no deciding channel is recorded"
-        return ""
-
-
 @dataclass(frozen=True, eq=False)
 class Guide:
     """The whole guide: tests in their order, and every event that is no test, with its reason."""
@@ -316,7 +307,6 @@ class Guide:
 
     @property
     def rules(self) -> Rules:
-        """The rule set with its tolerances for the source of the data."""
         return self.settings.rule_set
 
     @property
@@ -326,7 +316,6 @@ class Guide:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Tests by result, in the order PASS, FAIL, NOT ASSESSED."""
         found = Counter(WORDS[test.result] for test in self.tests)
         return {word: found[word] for word in WORDS.values()}
 
@@ -406,7 +395,7 @@ def evaluate_events(
     Raises as `eval.judging.log_evaluation.assess_log`.
     """
     config, judged = run_config(bundle)
-    judged = judged.model_copy(update={"transients": settings})
+    judged, rules = judged.model_copy(update={"transients": settings}), settings.rule_set
     raw = {log.name: log for log in recorded}
     parts, found = [], []
     for log in logs:
@@ -414,9 +403,10 @@ def evaluate_events(
         driver, own = config.events.driver, raw.get(log.name)
         view = LogView(log=part.log, driver=driver, outputs=part.run.channels, evaluation=part)
         own = own if own is not None and len(own) == len(log) else None
-        events = (*part.events, *_elsewhere(part, bundle, settings))
         parts.append(part)
-        found += [Found(view, one, own) for one in sorted(events, key=lambda one: one.event.start)]
+        events = sorted((*part.events, *_elsewhere(part, bundle, settings)),
+                        key=lambda one: one.event.start)  # fmt: skip
+        found += [Found(view, one, own, rules) for one in events]
     return Evaluated(bundle, settings, tuple(parts), tuple(found))
 
 
@@ -450,7 +440,7 @@ def guide_of(
     used = events.settings.rule_set
     named, others = _chosen(events, deciding, file, tests_file.test)
     tests = tuple(
-        Test(entry, number, found.view, found.one, deciding, used, found.recorded,
+        Test(found.view, found.one, found.recorded, used, entry, number, deciding,
              master.tests.get(found.identity) if master else None)
         for found, entry, number in _numbered(named, used, file)
     )  # fmt: skip
@@ -478,16 +468,14 @@ def _chosen(
     Without `file`, every fast movement that can be assessed is a test. Raises `ConfigError` for an
     entry of no event, two of the same, and where nothing is left.
     """
-    rules, found = events.settings.rule_set, events.found
+    found = events.found
     if file is None:
-        named = [(one, _entry(one, use=not one.reason(deciding, rules))) for one in found]
+        named = [(one, _entry(one, use=not one.reason(deciding))) for one in found]
     else:
         named = _matched(found, file, listed)
     tests = [(one, entry) for one, entry in named if entry.use]
     used = {id(one) for one, _ in tests}
-    others = [
-        (one, one.reason(deciding, rules) or "not chosen") for one in found if id(one) not in used
-    ]
+    others = [(one, one.reason(deciding) or "not chosen") for one in found if id(one) not in used]
     if not tests:
         why = Counter(reason for _, reason in others).most_common(1)
         most = f" ({len(others)} events; {why[0][0]})" if why else " (no event was found)"
@@ -506,7 +494,6 @@ def _entry(one: Found, *, use: bool) -> Entry:
 def _matched(
     found: Sequence[Found], file: Path, listed: Sequence[Entry]
 ) -> list[tuple[Found, Entry]]:
-    """Each entry with its event: that of its log within half a sample."""
     named: dict[int, tuple[Found, Entry]] = {}
     for entry in listed:
         own = [one for one in found if one.at[0] == entry.log]
@@ -532,7 +519,7 @@ def _numbered(
     tests: Iterable[tuple[Found, Entry]], rules: Rules, file: Path | None
 ) -> list[tuple[Found, Entry, str]]:
     """Give every test a number: its own, or the next free one of its paragraph."""
-    tests = sorted(tests, key=lambda one: rules.manoeuvres[one[0].one.event.label].number)
+    tests = sorted(tests, key=lambda one: one[0].manoeuvre.number)
     own = Counter(entry.number for _, entry in tests if entry.number)
     twice = next((number for number, times in own.items() if times > 1), None)
     if twice is not None:
@@ -540,7 +527,7 @@ def _numbered(
     running = {one.number: count(1) for one in rules.manoeuvres}
     numbers = []
     for found, entry in tests:
-        paragraph = rules.manoeuvres[found.one.event.label].number
+        paragraph = found.manoeuvre.number
         free = (f"{paragraph}-{k:02d}" for k in running[paragraph])
         number = entry.number or next(each for each in free if each not in own)
         numbers.append((found, entry, number))
@@ -549,11 +536,10 @@ def _numbered(
 
 def start_file(events: Evaluated, file: Path) -> str:
     """Text of `file`, TOML or CSV, with all events; tests by themselves have `use = true`."""
-    rules, deciding = events.settings.rule_set, events.deciding()
-    reasons = [one.reason(deciding, rules) for one in events.found]
+    deciding = events.deciding()
+    reasons = [one.reason(deciding) for one in events.found]
     rows = [
-        _entry(one, use=not why).model_dump()
-        | {"title": usual_title(rules.manoeuvres[one.one.event.label], one.one, one.view.log)}
+        _entry(one, use=not why).model_dump() | {"title": one.usual_title}
         for one, why in zip(events.found, reasons, strict=True)
     ]
     if file.suffix == ".csv":

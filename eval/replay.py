@@ -7,21 +7,20 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from statistics import NormalDist
-from typing import Any, Literal, Self, TextIO
+from typing import Any, Self, TextIO
 
 import numpy as np
-from numpy.typing import NDArray
-from pydantic import Field
 
 from data_prep.cleaning.faults import out_of_range
 from data_prep.config import LogsConfig
 from data_prep.log import Finding
 from data_prep.sources.csv_source import Pace
-from data_prep.sources.log_file import open_log
+from data_prep.sources.log_file import Rows, open_log
 from data_prep.sources.stream import Piece
 from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.calibration import Calibration
@@ -29,42 +28,39 @@ from narxcal.calibration.fuser import FastFuser
 from narxcal.calibration.fuser_config import FuserConfig
 from narxcal.calibration.noise import MIN_SAMPLES, STORED, NoiseModel, estimate_noise
 from narxcal.channels import described
-from narxcal.intervals import LEVEL, LEVELS
-from narxcal.support.arrays import BoolArray, FloatArray, last_true, spans
+from narxcal.intervals import LEVEL
+from narxcal.support.arrays import BoolArray, FloatArray, IntArray, last_true, spans
 from narxcal.support.csv_text import TIME_FORMAT
 from narxcal.support.errors import ConfigError, DataError
 from narxcal.support.files import atomic_stream
 from narxcal.support.interrupt import held_interrupt
-from narxcal.support.settings import Section
 
-# At full speed rows can wait until the next measurement of a slow channel is known.
 # Rows per sample of the model, half of what minutes read as seconds give.
 _CROWDED = 30
+# At full speed rows can wait until the next measurement of a slow channel is known.
 _LOOK_AHEAD_S = 5.0
+_HOLD_S = 2.0  # a missing input keeps its last value so long
+_WARMUP_S = 300.0  # of a log from which noise is estimated
 
 
-class ReplayOptions(Section):
+@dataclass(frozen=True)
+class ReplayOptions:
     """How to replay.
 
-    `engine` picks one of several engines; else all are replayed. A missing input keeps its last
-    value up to `hold_s`. `start` says where the model begins after a gap: in equilibrium, or at the
-    measured outputs. With `follow` a growing file is read until it has not grown for `idle_s`.
+    `engine` picks one of several engines; else all are replayed. With `follow` a growing file is
+    read until it has not grown for `idle_s`. `interval` is the share of samples that the intervals
+    cover, that of the free run only where the bundle has one.
 
-    Live, the noise is that of the bundle. At full speed the sensors' is estimated from the first
-    `warmup_s` of the log itself, and the model's is that of the bundle, which was estimated from
-    whole flights. For a bundle without noise both are estimated from the log, which delays the
-    output so long. `interval` is the share of samples that the intervals cover, that of the free
-    run only where the bundle has one.
+    Live, the noise is that of the bundle. At full speed the sensors' is estimated from the start of
+    the log itself, and the model's is that of the bundle, which was estimated from whole flights.
+    For a bundle without noise both are estimated from the log, which delays the output so long.
     """
 
     engine: str | None = None
     realtime: bool = False
     follow: bool = False
-    idle_s: float = Field(default=10.0, gt=0.0)
-    hold_s: float = Field(default=2.0, ge=0.0)
-    start: Literal["steady", "measured"] = "steady"
-    warmup_s: float = Field(default=300.0, gt=0.0)
-    interval: float = Field(default=LEVEL, ge=LEVELS[0], le=LEVELS[-1])
+    idle_s: float = 10.0
+    interval: float = LEVEL
 
     @property
     def live(self) -> bool:
@@ -98,135 +94,174 @@ class ReplayModel:
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
-    """Samples of one engine, `(time,)` or `(time, n_out)`; NaN until they are fused.
+class Filled:
+    """Inputs (time, n_in), `age` samples old; `alive` (time,) where the model can run by them."""
 
-    `valid` (time, n_out) is true where the inputs were measured and no fault masks the output,
-    `half_width` (time, n_out) that of the interval of the prediction, NaN without one,
-    `fused_half_width` that of the fused value, by the filter's variance, NaN where none is fused.
+    inputs: FloatArray
+    age: IntArray
+    alive: BoolArray
 
-    `runs` are (start, stop, fresh) without a gap inside; with `fresh` the model starts anew.
+    @classmethod
+    def nothing(cls, inputs: int) -> Self:
+        """As before the first sample."""
+        age = np.zeros((1, inputs), dtype=np.int64)
+        return cls(np.full((1, inputs), np.nan), age, np.zeros(1, dtype=np.bool_))
+
+    @property
+    def held(self) -> BoolArray:
+        return np.asarray((self.age > 0).any(axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class Predicted:
+    """Free run of one engine, `(time,)` or `(time, n_out)`; NaN where there is none.
+
+    `valid` is true where the inputs were measured and no fault masks the output, `half_width` that
+    of the interval, NaN without one. `runs` are (start, stop, fresh) without a gap inside; with
+    `fresh` the model starts anew.
     """
 
     time_s: FloatArray
     measured: FloatArray
-    prediction: FloatArray
-    fused: FloatArray
-    innovation: FloatArray
+    values: FloatArray
+    half_width: FloatArray
     inside: BoolArray
     held: BoolArray
     gap: BoolArray
     valid: BoolArray
-    half_width: FloatArray
-    fused_half_width: FloatArray
     runs: list[tuple[int, int, bool]]
+
+
+@dataclass(frozen=True, eq=False)
+class Fused:
+    """Fused values (time, n_out), their innovations, and half-widths by the filter's variance."""
+
+    values: FloatArray
+    innovations: FloatArray
+    half_width: FloatArray
+
+
+def fill(given: FloatArray, before: Filled, longest: int) -> Filled:
+    """Keep the last value of a missing input (time, n_in) for up to `longest` samples."""
+    rows = np.vstack([before.inputs[-1], given])
+    at = np.maximum(last_true(np.isfinite(rows)), 0)
+    age = (np.arange(len(rows))[:, None] - at + np.where(at == 0, before.age[-1], 0))[1:]
+    filled = np.take_along_axis(rows, at, axis=0)[1:]
+    alive = np.asarray((np.isfinite(filled) & (age <= longest)).all(axis=1))
+    return Filled(filled, age, alive)
+
+
+def fuse(one: Predicted, fuser: FastFuser, fusable: BoolArray, z: float) -> Fused:
+    """Merge a free run with the `fusable` (n_out,) outputs; intervals are of `z` deviations."""
+    measured = np.where(fusable, one.measured, np.nan)
+    values, innovations, half = (np.full(measured.shape, np.nan) for _ in range(3))
+    for start, stop, fresh in one.runs:
+        extend = fuser.run if fresh else fuser.extend
+        found = extend(one.values[start:stop], measured[start:stop])
+        values[start:stop], innovations[start:stop] = found.values, found.innovations
+        half[start:stop] = np.where(fusable, z * np.sqrt(found.variances), np.nan)
+    return Fused(values, innovations, half)
+
+
+def noise_of(
+    some: Sequence[Predicted], stored: NoiseModel | None, slow: BoolArray, dt_s: float
+) -> tuple[NoiseModel, BoolArray]:
+    """Estimate the noise from free runs; and which outputs (n_out,) have samples enough for that.
+
+    With a `stored` one the sensors' noise is that of the log and the model's that of the bundle.
+    The latter is per sample, and correlated over time: over the many samples between two
+    measurements of a `slow` output it grows by more than independent steps would, so that there
+    the log's is used.
+    """
+    records: list[list[FloatArray]] = []
+    for one in some:
+        pair = np.stack([one.measured, one.values])
+        for start, stop, fresh in one.runs:
+            records += [[]] if fresh else []
+            records[-1].append(pair[:, start:stop])
+    pairs = [np.concatenate(parts, axis=1) for parts in records]
+    seen = sum((np.isfinite(z).sum(axis=0) for z, _ in pairs), np.zeros(len(slow)))
+    fusable = np.asarray(seen >= MIN_SAMPLES)
+    # Of an output without measurements the fuser repeats the prediction.
+    found = {name: np.zeros(len(slow)) for name in STORED}
+    found["measurement_variance"] += 1.0
+    if fusable.any():
+        own = estimate_noise(
+            [z[:, fusable] for z, _ in pairs], [p[:, fusable] for _, p in pairs], dt_s
+        )
+        for name, values in found.items():
+            values[fusable] = getattr(own, name)
+        if stored is not None:
+            for name in found.keys() - {"measurement_variance"}:
+                found[name] = np.where(slow, found[name], getattr(stored, name))
+    return NoiseModel(dt_s, **found), fusable
 
 
 class EngineReplay:
     """One engine: run the pieces of its log through a calibration and a fuser of its own.
 
-    A missing input keeps its last value up to `hold_s`; after that there is no prediction until
+    A missing input keeps its last value for 2 s; after that there is no prediction until
     all inputs are back, and the model starts anew there, as it does after a gap of the log.
+    `counts` are samples by what is counted and of which channel.
     """
 
     def __init__(self, model: ReplayModel, options: ReplayOptions, engine: str, file: str) -> None:
-        calibration = model.calibration.for_engine(engine, or_mean=True)  # with its own register
-        self._calibration = calibration
+        self._own = model.calibration.for_engine(engine, or_mean=True)  # with its own register
         self._model, self._options, self._file = model, options, file
-        self._inputs = tuple(calibration.input_names)
-        self.outputs = tuple(calibration.output_names)
-        self._steady = [self._inputs.index(name) for name in calibration.steady.input_names]
-        self._longest = round(options.hold_s / calibration.dt_s)  # samples
-        self._last = np.full(len(self._inputs), np.nan)  # last known inputs, and samples since
-        self._age = np.zeros(len(self._inputs), dtype=np.intp)
-        self._running = self._begun = False
-        self._waiting: list[Rows] = []
         self._findings = [one for one in model.findings if one.masks and one.engine == engine]
+        self._filled = Filled.nothing(len(self._own.input_names))
+        self._waiting: list[Predicted] = []
         stored = model.noise if options.live else None
-        self.fuser = None if stored is None else FastFuser(stored, model.fuser)
-        self._fusable = np.ones(len(self.outputs), dtype=np.bool_)
-        self._held = np.zeros(len(self._inputs), dtype=np.int64)
-        self._interpolated: dict[str, int] = {}
-        self._samples = 0
-        # By missing input, samples at which the model could not run.
-        self._lost = np.zeros(len(self._inputs), dtype=np.int64)
-        self.restarts = self.outside = 0
+        self._fuser = None if stored is None else FastFuser(stored, model.fuser)
+        self._fusable = np.ones(len(self._own.output_names), dtype=np.bool_)
+        self.counts: Counter[tuple[str, str]] = Counter()
 
-    @property
-    def lost(self) -> dict[str, int]:
-        """Input -> samples at which the model could not run for want of it."""
-        return _counted(self._inputs, self._lost)
-
-    @property
-    def held(self) -> dict[str, int]:
-        """Input -> samples at which its last value was used."""
-        return _counted(self._inputs, self._held)
-
-    @property
-    def slow(self) -> dict[str, float]:
-        """Channel slower than the sampling grid -> mean time between two measurements in s."""
+    def summary(self) -> dict[str, Any]:
+        """What `ReplaySummary` has by engine."""
+        outputs, total = self._own.output_names, self.counts["all", ""]
+        gated = self._fuser.gated_samples.tolist() if self._fuser else [0] * len(outputs)
+        known = zip(outputs, self._fusable, strict=True)
         return {
-            name: self._calibration.dt_s * self._samples / (self._samples - interpolated)
-            for name, interpolated in self._interpolated.items()
-            if interpolated
+            "held": self._counted("held"),
+            "restarts": max(self.counts["starts", ""] - 1, 0),
+            "blank": self._counted("blank"),
+            "outside": self.counts["outside", ""],
+            "gated": dict(zip(outputs, gated, strict=True)),
+            "unfused": tuple(name for name, fusable in known if not fusable),
+            "slow": {
+                name: self._own.dt_s * total / (total - between)
+                for name, between in self._counted("between").items()
+            },
         }
 
-    @property
-    def gated(self) -> dict[str, int]:
-        """Output -> measurements that the fuser rejected as outliers."""
-        counts = self.fuser.gated_samples if self.fuser else np.zeros(len(self.outputs))
-        return {name: int(n) for name, n in zip(self.outputs, counts, strict=True)}
+    def _counted(self, what: str) -> dict[str, int]:
+        return {name: n for (kind, name), n in self.counts.items() if kind == what and n}
 
-    @property
-    def unfused(self) -> tuple[str, ...]:
-        """Outputs with too few measurements to estimate their noise."""
-        known = zip(self.outputs, self._fusable, strict=True)
-        return tuple(name for name, fusable in known if not fusable)
+    def _count(self, what: str, names: Sequence[str], flags: BoolArray) -> None:
+        """Add up `flags` (time, n) of the first n of `names`."""
+        for name, n in zip(names, flags.sum(axis=0).tolist(), strict=False):
+            self.counts[what, name] += n
 
-    def feed(self, pieces: Sequence[Piece], *, last: bool = False) -> list[Rows]:
+    def feed(self, pieces: Iterable[Piece], *, last: bool = False) -> list[tuple[Predicted, Fused]]:
         """Finished samples; none while the noise is still being estimated."""
-        self._waiting += [self._predict(piece) for piece in pieces]
-        seconds = sum(len(each.held) for each in self._waiting) * self._calibration.dt_s
-        if self.fuser is None and self._waiting and (last or seconds >= self._options.warmup_s):
-            self.fuser = FastFuser(self._noise(), self._model.fuser)
-        if self.fuser is None:
+        self._waiting += map(self._predict, pieces)
+        if not self._waiting:
             return []
+        if self._fuser is None:
+            seconds = sum(len(each.held) for each in self._waiting) * self._own.dt_s
+            if not last and seconds < _WARMUP_S:
+                return []
+            slow = np.array([self.counts["between", name] > 0 for name in self._own.output_names])
+            noise, self._fusable = noise_of(self._waiting, self._model.noise, slow, self._own.dt_s)
+            self._fuser = FastFuser(noise, self._model.fuser)
+        z = NormalDist().inv_cdf(0.5 + 0.5 * self._options.interval)
         ready, self._waiting = self._waiting, []
-        return [self._fuse(each, self.fuser) for each in ready]
+        return [(each, fuse(each, self._fuser, self._fusable, z)) for each in ready]
 
-    def _matrix(self, piece: Piece, names: Sequence[str]) -> FloatArray:
-        missing = np.full(len(piece.time_s), np.nan)
-        return np.column_stack(
-            [
-                np.where(self._faulty(piece, name), np.nan, piece.channels.get(name, missing))
-                for name in names
-            ]
-        )
-
-    def _faulty(self, piece: Piece, name: str) -> BoolArray:
-        """Where a fault masks a channel, or its values are physically impossible (time,)."""
-        bad = np.zeros(len(piece.time_s), dtype=np.bool_)
-        if name in piece.channels:
-            bad |= out_of_range(
-                self._model.logs.declared.get(name) or described(name), piece.channels[name]
-            )
-        for one in self._findings:
-            if name == one.channel:
-                bad |= one.rows(piece.time_s)
-        return bad
-
-    def _measured(self, piece: Piece) -> FloatArray:
-        """Outputs (time, n_out), NaN where not measured: interpolated values are no information."""
-        never = np.zeros(len(piece.time_s), dtype=np.bool_)
-        self._samples += len(never)
-        for name in (*self._inputs, *self.outputs):
-            flags = piece.interpolated.get(name, never)
-            self._interpolated[name] = self._interpolated.get(name, 0) + int(flags.sum())
-        between = np.column_stack([piece.interpolated.get(name, never) for name in self.outputs])
-        return np.where(between, np.nan, self._matrix(piece, self.outputs))
-
-    def _predict(self, piece: Piece) -> Rows:
-        for name in self._inputs:
+    def _predict(self, piece: Piece) -> Predicted:
+        own, names = self._own, (*self._own.input_names, *self._own.output_names)
+        inputs = len(own.input_names)
+        for name in own.input_names:
             if name not in piece.channels:
                 raise DataError(
                     "the model needs this input, and the log neither has nor implies it",
@@ -234,129 +269,64 @@ class EngineReplay:
                     channel=name,
                     hint=f"The log has {', '.join(piece.channels)}",
                 )
-        if piece.starts:
-            self._last[:], self._running = np.nan, False
-        given = self._matrix(piece, self._inputs)
-        inputs, held, alive = self._filled(given)
-        self._lost += (~np.isfinite(given) & ~alive[:, None]).sum(axis=0)
-        measured = self._measured(piece)
-        prediction = np.full(measured.shape, np.nan)
-        gap = ~alive
-        runs = list(self._runs(alive))
+        never, missing = (
+            np.zeros(len(piece.time_s), dtype=np.bool_),
+            np.full(len(piece.time_s), np.nan),
+        )
+        faulty = np.column_stack([self._faulty(piece, name) for name in names])
+        between = np.column_stack([piece.interpolated.get(name, never) for name in names])
+        known = np.column_stack([piece.channels.get(name, missing) for name in names])
+        known[faulty] = np.nan
+        # Interpolated values are no information about an output.
+        given, measured = known[:, :inputs], np.where(between, np.nan, known)[:, inputs:]
+        before = Filled.nothing(inputs) if piece.starts else self._filled
+        filled = self._filled = fill(given, before, round(_HOLD_S / own.dt_s))
+        self._count("held", names, (filled.age > 0) & filled.alive[:, None])
+        self._count("blank", names, ~np.isfinite(given) & ~filled.alive[:, None])
+        self._count("between", names, between)
+        self.counts["all", ""] += len(never)
+        valid = ~faulty[:, inputs:] & ~filled.held[:, None]
+        return self._free_run(piece.time_s, measured, filled, valid, goes_on=bool(before.alive[-1]))
+
+    def _free_run(
+        self,
+        time_s: FloatArray,
+        measured: FloatArray,
+        filled: Filled,
+        valid: BoolArray,
+        *,
+        goes_on: bool,
+    ) -> Predicted:
+        own, inputs, alive = self._own, filled.inputs, filled.alive
+        values, half, gap = np.full(measured.shape, np.nan), np.full(measured.shape, np.nan), ~alive
+        runs = [(start, stop, start > 0 or not goes_on) for start, stop in spans(alive)]
         for start, stop, fresh in runs:
             if fresh:
-                prediction[start] = self._reset(inputs[start], measured[start])
-                gap[start] = self._begun
-                self.restarts += self._begun
-                self._begun = True
+                values[start] = own.reset(inputs[start])
+                gap[start] = self.counts["starts", ""] > 0
+                self.counts["starts", ""] += 1
             if start + fresh < stop:
-                rest = slice(start + fresh, stop)
-                prediction[rest] = self._calibration.extend(inputs[rest])
-        inside = alive & self._calibration.steady.inside(inputs[:, self._steady])
-        self.outside += int((alive & ~inside).sum())
-        blank = np.full(measured.shape, np.nan)
-        faulty = np.column_stack([self._faulty(piece, name) for name in self.outputs])
-        valid = np.isfinite(prediction) & ~faulty & ~held[:, None]
-        half = self._half_width(inputs, prediction, alive)
-        return Rows(
-            piece.time_s, measured, prediction, blank, blank, inside, held & alive, gap, valid,
-            half, blank, runs,
+                values[start + fresh : stop] = own.extend(inputs[start + fresh : stop])
+        steady = [own.input_names.index(name) for name in own.steady.input_names]
+        inside = alive & own.steady.inside(inputs[:, steady])
+        self.counts["outside", ""] += int((alive & ~inside).sum())
+        if own.interval is not None and alive.any():
+            half[alive] = own.half_width(inputs[alive], values[alive], self._options.interval)
+        return Predicted(
+            time_s, measured, values, half, inside, filled.held & alive, gap,
+            np.isfinite(values) & valid, runs,
         )  # fmt: skip
 
-    def _half_width(
-        self, inputs: FloatArray, prediction: FloatArray, alive: BoolArray
-    ) -> FloatArray:
-        half = np.full(prediction.shape, np.nan)
-        if self._calibration.interval is not None and alive.any():
-            half[alive] = self._calibration.half_width(
-                inputs[alive], prediction[alive], self._options.interval
-            )
-        return half
-
-    def _filled(self, inputs: FloatArray) -> tuple[FloatArray, BoolArray, BoolArray]:
-        """Inputs filled with their last values, where that was done, and where all are usable."""
-        rows = np.vstack([self._last, inputs])
-        at = np.maximum(last_true(np.isfinite(rows)), 0)
-        age = (np.arange(len(rows))[:, None] - at + np.where(at == 0, self._age, 0))[1:]
-        filled = np.take_along_axis(rows, at, axis=0)[1:]
-        alive: BoolArray = (np.isfinite(filled) & (age <= self._longest)).all(axis=1)
-        self._last, self._age = filled[-1].copy(), age[-1]
-        self._held += ((age > 0) & alive[:, None]).sum(axis=0)
-        held = np.asarray((age > 0).any(axis=1))
-        return filled, held, alive
-
-    def _runs(self, alive: BoolArray) -> Iterator[tuple[int, int, bool]]:
-        """Runs of usable inputs, and whether the model starts anew there."""
-        for start, stop in spans(alive):
-            yield start, stop, start > 0 or not self._running
-        self._running = bool(alive[-1])
-
-    def _reset(self, inputs: FloatArray, measured: FloatArray) -> FloatArray:
-        known = self._options.start == "measured" and bool(np.isfinite(measured).all())
-        return self._calibration.reset(inputs, measured if known else None)
-
-    def _noise(self) -> NoiseModel:
-        """Estimate the noise from the waiting samples, channels with too few of them left out."""
-        records: list[tuple[list[FloatArray], list[FloatArray]]] = []
-        for each in self._waiting:
-            for start, stop, fresh in each.runs:
-                if fresh or not records:
-                    records.append(([], []))
-                records[-1][0].append(each.measured[start:stop])
-                records[-1][1].append(each.prediction[start:stop])
-        measured = [np.concatenate(z) for z, _ in records]
-        predicted = [np.concatenate(p) for _, p in records]
-        seen = sum((np.isfinite(z).sum(axis=0) for z in measured), np.zeros(len(self.outputs)))
-        self._fusable = seen >= MIN_SAMPLES
-        fit = np.flatnonzero(self._fusable)
-        found = _no_fusion(len(self.outputs), self._calibration.dt_s)
-        if not len(fit):
-            return found
-        part = estimate_noise(
-            [z[:, fit] for z in measured], [p[:, fit] for p in predicted], found.dt_s
-        )
-        for name in STORED:
-            getattr(found, name)[fit] = getattr(part, name)
-        if self._model.noise is None:
-            return found
-        return self._with_stored(self._model.noise, found)
-
-    def _with_stored(self, stored: NoiseModel, found: NoiseModel) -> NoiseModel:
-        """Sensor noise from the log, model errors from the bundle.
-
-        The bundle's model errors are per sample. They are correlated over time, so that over the
-        many samples between two measurements of a slow channel they grow by more than independent
-        steps would: for slow channels those estimated from the log are used.
-        """
-        slow = np.array([name in self.slow for name in self.outputs])
-        parts = {
-            name: np.where(slow, getattr(found, name), getattr(stored, name))
-            for name in STORED
-            if name != "measurement_variance"
-        }
-        return replace(stored, measurement_variance=found.measurement_variance, **parts)
-
-    def _fuse(self, rows: Rows, fuser: FastFuser) -> Rows:
-        measured = np.where(self._fusable, rows.measured, np.nan)
-        fused, innovation = rows.fused.copy(), rows.innovation.copy()
-        half = rows.fused_half_width.copy()
-        z = NormalDist().inv_cdf(0.5 + 0.5 * self._options.interval)
-        for start, stop, fresh in rows.runs:
-            fuse = fuser.run if fresh else fuser.extend
-            result = fuse(rows.prediction[start:stop], measured[start:stop])
-            fused[start:stop], innovation[start:stop] = result.values, result.innovations
-            half[start:stop] = np.where(self._fusable, z * np.sqrt(result.variances), np.nan)
-        return replace(rows, fused=fused, innovation=innovation, fused_half_width=half)
-
-
-def _counted(names: Sequence[str], counts: NDArray[np.int64]) -> dict[str, int]:
-    return {name: int(count) for name, count in zip(names, counts, strict=True) if count}
-
-
-def _no_fusion(n_out: int, dt_s: float) -> NoiseModel:
-    """Noise with which a fuser repeats the prediction, for outputs that are not measured."""
-    zero = {name: np.zeros(n_out) for name in STORED}
-    return NoiseModel(dt_s, **{**zero, "measurement_variance": np.ones(n_out)})
+    def _faulty(self, piece: Piece, name: str) -> BoolArray:
+        """Where a fault masks a channel, or its values are physically impossible (time,)."""
+        bad = np.zeros(len(piece.time_s), dtype=np.bool_)
+        if name in piece.channels:
+            known = self._model.logs.declared.get(name) or described(name)
+            bad |= out_of_range(known, piece.channels[name])
+        for one in self._findings:
+            if name == one.channel:
+                bad |= one.rows(piece.time_s)
+        return bad
 
 
 MOST_BLANK = 0.1  # share of rows without a prediction from which on a replay is no result
@@ -486,38 +456,35 @@ def replay(
 
     Raises `DataError` for the log, `ConfigError` for options or an output that cannot be written.
     """
-    return _Replay(model, Path(log), options or ReplayOptions(), clock or Clock()).write(Path(out))
+    options, clock = options or ReplayOptions(), clock or Clock()
+    running = _Replay(model, Path(log), options, clock)
+    with atomic_stream(out, live=options.live) as file:
+        if not options.follow:
+            return running.write(file)
+        with held_interrupt() as interrupt:
+            running.pace.stop = lambda: interrupt.requested
+            return running.write(file)
 
 
 class _Replay:
     def __init__(self, model: ReplayModel, log: Path, options: ReplayOptions, clock: Clock) -> None:
-        self.options = options
-        self.model = model
-        self.clock = clock
+        self.options, self.model, self.clock = options, model, clock
         self.pace = Pace(
-            lines=1 if options.realtime else 4096,
-            live=True,
-            follow=options.follow,
-            idle_s=options.idle_s,
-            clock=clock.now,
-            sleep=clock.sleep,
-        )
+            lines=1 if options.realtime else 4096, live=True, follow=options.follow,
+            idle_s=options.idle_s, clock=clock.now, sleep=clock.sleep,
+        )  # fmt: skip
         self.file = open_log(log, model.logs)
-        names = self._engines(log)
-        self.engines = {name: EngineReplay(model, options, name, str(log)) for name in names}
+        self.dt_s = model.calibration.dt_s
         ahead = 0.0 if options.live else _LOOK_AHEAD_S
-        dt_s = model.calibration.dt_s
-        self.streams = {name: self.file.stream(dt_s, ahead) for name in names}
-        self.outputs = tuple(model.calibration.output_names)
+        self.engines = {
+            name: (self.file.stream(self.dt_s, ahead), EngineReplay(model, options, name, str(log)))
+            for name in self._names(log)
+        }
         self.rows = self.read = 0
-        self._first_s: float | None = None
-        self._began = clock.now()
+        self.first_s: float | None = None
+        self.began = clock.now()
 
-    @property
-    def _has_interval(self) -> bool:
-        return self.model.calibration.interval is not None
-
-    def _engines(self, log: Path) -> tuple[str, ...]:
+    def _names(self, log: Path) -> tuple[str, ...]:
         known = self.file.engines
         if self.options.engine is None:
             return known
@@ -530,104 +497,81 @@ class _Replay:
             )
         return (self.options.engine,)
 
-    def write(self, out: Path) -> ReplaySummary:
-        with atomic_stream(out, live=self.options.live) as file:
-            self._write_all(file)
-        return self._summary()
-
-    def _write_all(self, file: TextIO) -> None:
+    def write(self, file: TextIO) -> ReplaySummary:
         file.write(",".join(self._header()) + "\n")
-        if not self.options.follow:
-            self._write_rows(file)
-            return
-        with held_interrupt() as interrupt:
-            self.pace.stop = lambda: interrupt.requested
-            self._write_rows(file)
-
-    def _write_rows(self, file: TextIO) -> None:
-        for rows in self._samples():
-            self._emit(file, rows)
-
-    def _header(self) -> list[str]:
-        band = ("free_run_low", "free_run_high") if self._has_interval else ()
-        parts = ("free_run", *band, "fused", "fused_low", "fused_high", "innovation")
-        per_channel = [f"{name}_{part}" for name in self.outputs for part in parts]
-        engine = ["engine"] if len(self.engines) > 1 else []
-        valid = [f"{name}_valid" for name in self.outputs]
-        return ["time_s", *engine, *per_channel, "inside_envelope", "held", "gap", *valid]
-
-    def _samples(self) -> Iterator[dict[str, list[Rows]]]:
-        """Finished rows per engine, as they become certain."""
         names = tuple(self.engines)
         for block in self.file.blocks(names, self.pace):
             self.read += sum(len(rows["time_s"]) for rows in block.values())
-            yield {
-                name: self.engines[name].feed(list(self.streams[name].push(block[name])))
-                for name in names
-            }
-        yield {
-            name: self.engines[name].feed(list(self.streams[name].push({}, last=True)), last=True)
-            for name in names
-        }
-        if not any(stream.samples for stream in self.streams.values()):
+            self._emit(file, block, last=False)
+        self._emit(file, {name: {} for name in names}, last=True)
+        if not any(stream.samples for stream, _ in self.engines.values()):
             raise DataError(
                 "expected samples at two or more times", file=self.file.path, channel="time_s"
             )
+        return self._summary()
 
-    def _emit(self, file: TextIO, rows: dict[str, list[Rows]]) -> None:
-        """Write one block, rows of several engines in order of time."""
-        lines: list[tuple[float, str]] = []
-        for name, parts in rows.items():
-            for part in parts:
-                lines += self._lines(part, name if len(self.engines) > 1 else None)
-        if len(rows) > 1:
-            lines.sort(key=lambda line: line[0])
+    def _header(self) -> list[str]:
+        outputs, interval = self.model.calibration.output_names, self.model.calibration.interval
+        band = () if interval is None else ("free_run_low", "free_run_high")
+        parts = ("free_run", *band, "fused", "fused_low", "fused_high", "innovation")
+        per_channel = [f"{name}_{part}" for name in outputs for part in parts]
+        engine = ["engine"] if len(self.engines) > 1 else []
+        valid = [f"{name}_valid" for name in outputs]
+        return ["time_s", *engine, *per_channel, "inside_envelope", "held", "gap", *valid]
+
+    def _emit(self, file: TextIO, block: Mapping[str, Rows], *, last: bool) -> None:
+        """Write what is certain with one more block, rows of several engines in order of time."""
+        several = len(self.engines) > 1
+        lines = [
+            line
+            for name, (stream, engine) in self.engines.items()
+            for part in engine.feed(stream.push(block[name], last=last), last=last)
+            for line in self._lines(*part, [name] if several else [])
+        ]
+        lines.sort(key=lambda line: line[0])
         self.rows += len(lines)
-        if not self.options.realtime:
-            file.write("".join(text for _, text in lines))
-        for at, text in lines if self.options.realtime else ():
-            self._wait(at)
+        for at, text in lines:
+            if self.options.realtime:
+                self._wait(at)
             file.write(text)
-            file.flush()
+            if self.options.realtime:
+                file.flush()
         if self.options.follow:
             file.flush()
 
-    def _lines(self, rows: Rows, engine: str | None) -> list[tuple[float, str]]:
-        free, fused, half = rows.prediction, rows.fused, rows.fused_half_width
-        band = [free - rows.half_width, free + rows.half_width] if self._has_interval else []
-        parts = [free, *band, fused, fused - half, fused + half, rows.innovation]
-        results = np.stack(parts, axis=2).reshape(len(rows.time_s), -1)
-        table = np.column_stack([rows.time_s, results]).tolist()
-        flags = np.column_stack([rows.inside, rows.held, rows.gap, rows.valid]).astype(int)
-        form = ",".join([TIME_FORMAT, *([engine] if engine else []), *["%.10g"] * results.shape[1]])
+    def _lines(
+        self, one: Predicted, fused: Fused, engine: list[str]
+    ) -> Iterator[tuple[float, str]]:
+        free, middle, half = one.values, fused.values, fused.half_width
+        interval = self.model.calibration.interval
+        band = [] if interval is None else [free - one.half_width, free + one.half_width]
+        parts = [free, *band, middle, middle - half, middle + half, fused.innovations]
+        results = np.stack(parts, axis=2).reshape(len(one.time_s), -1)
+        table = np.column_stack([one.time_s, results]).tolist()
+        flags = np.column_stack([one.inside, one.held, one.gap, one.valid]).astype(int)
+        form = ",".join([TIME_FORMAT, *engine, *["%.10g"] * results.shape[1]])
         tail = ",%d" * flags.shape[1] + "\n"
-        return [
-            (row[0], (form % tuple(row)).replace("nan", "") + tail % tuple(flag))
-            for row, flag in zip(table, flags.tolist(), strict=True)
-        ]
+        for row, flag in zip(table, flags.tolist(), strict=True):
+            yield row[0], (form % tuple(row)).replace("nan", "") + tail % tuple(flag)
 
     def _wait(self, at_s: float) -> None:
         """Sleep until the wall clock has advanced as far as the log."""
-        if self._first_s is None:
-            self._first_s, self._began = at_s, self.clock.now()
-        ahead = (at_s - self._first_s) - (self.clock.now() - self._began)
+        if self.first_s is None:
+            self.first_s, self.began = at_s, self.clock.now()
+        ahead = (at_s - self.first_s) - (self.clock.now() - self.began)
         if ahead > 0.0:
             self.clock.sleep(ahead)
 
     def _summary(self) -> ReplaySummary:
-        names = ("held", "restarts", "lost", "outside", "gated", "unfused", "slow")
-        of = {
-            name: {engine: getattr(one, name) for engine, one in self.engines.items()}
-            for name in names
-        }
+        found = {name: engine.summary() for name, (_, engine) in self.engines.items()}
+        parts = ("held", "restarts", "blank", "outside", "gated", "unfused", "slow")
         return ReplaySummary(
             rows=self.rows,
             engines=tuple(self.engines),
-            log_s=self.rows * next(iter(self.streams.values())).dt_s,
-            wall_s=self.clock.now() - self._began,
-            blank=of.pop("lost"),
-            **of,
-            dropped=sum(stream.dropped for stream in self.streams.values()),
+            log_s=self.rows * self.dt_s,
+            wall_s=self.clock.now() - self.began,
+            **{part: {name: one[part] for name, one in found.items()} for part in parts},
+            dropped=sum(stream.dropped for stream, _ in self.engines.values()),
             truncated=self.file.truncated,
             findings=self.model.findings,
             read=self.read,

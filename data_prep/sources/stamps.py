@@ -114,12 +114,14 @@ def clock_goes_on(
     return daily, Passed(days, hours, passed.hourly), entries
 
 
-def ordered_rows(stamps: FloatArray, max_gap_s: float, file: str) -> Rows:
+def ordered_rows(
+    stamps: FloatArray, max_gap_s: float, file: str, numbers: NDArray[np.intp] | None = None
+) -> Rows:
     """Drop rows without a usable stamp and put late ones in their place.
 
     A lone stamp far from both neighbours, which agree with each other, is a fault of the clock:
     its row is dropped. A row that comes late by up to `max_gap_s` is sorted in. Time that goes
-    back further is a second recording: `DataError` naming the row.
+    back further is a second recording: `DataError` naming the row, by its number in the file.
     """
     finite = np.abs(stamps) < _LATEST_S  # false for NaN
     order = np.flatnonzero(finite)
@@ -141,7 +143,7 @@ def ordered_rows(stamps: FloatArray, max_gap_s: float, file: str) -> Rows:
             f"time goes back from {stamp(time[:at].max())} to {stamp(time[at])}",
             file=file,
             channel="time_s",
-            row=int(kept[at]) + 1,
+            row=int(kept[at]) + 1 if numbers is None else int(numbers[kept[at]]),
             hint=_where_it_goes_back(float(time[:at].max()), float(time[at])),
         )
     sorting = np.argsort(time, kind="stable")
@@ -175,7 +177,6 @@ def _lone_spikes(time: FloatArray, max_gap_s: float) -> BoolArray:
 
 
 def split_at_gaps(time: FloatArray, max_gap_s: float) -> list[slice]:
-    """Stretches of rows without a step longer than `max_gap_s`."""
     cuts = np.flatnonzero(np.diff(time) > max_gap_s) + 1
     edges = [0, *cuts.tolist(), len(time)]
     return [slice(start, stop) for start, stop in pairwise(edges)]

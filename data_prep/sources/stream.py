@@ -130,16 +130,7 @@ class GridStream:
     def _ordered(self, last: bool) -> tuple[NDArray[np.intp], FloatArray]:
         """Rows in hand whose stamps are sound, in order of time, and their times."""
         stamps = self._rows.get("time_s", np.zeros(0))
-        try:
-            rows = ordered_rows(stamps, self.config.max_gap_s, self.file)
-        except DataError as error:
-            raise DataError(
-                error.problem,
-                file=error.file,
-                channel=error.channel,
-                row=int(self._numbers[(error.row or 1) - 1]),
-                hint=error.hint,
-            ) from None
+        rows = ordered_rows(stamps, self.config.max_gap_s, self.file, self._numbers)
         sound = np.zeros(len(stamps), dtype=np.bool_)
         sound[rows.order] = True
         self.dropped += int((~sound).sum())

@@ -41,7 +41,6 @@ class Candidates:
     cost: FloatArray
 
     def total(self, chosen: list[int]) -> FloatArray:
-        """Information (P, P) of those chosen."""
         found: FloatArray = self.information[chosen].sum(axis=0)
         return found
 

@@ -57,6 +57,7 @@ _LIST_COLUMNS = {
     "tail": "string", "batch": "int64", "file": "string", "size": "int64", "sha256": "string",
     "engine": "string",
 }  # fmt: skip
+_DECISIVE = ("tail", "file", "batch", "size", "sha256", "status")  # of what is done with a row
 _TAIL = "{tail}"
 _SEARCH_S = 20.0  # 100,000 names take 0.2 s
 _SEARCH = """
@@ -66,6 +67,17 @@ found = [re.search(pattern, name) for name in names]
 print(json.dumps([match[1] if match else None for match in found]))
 """
 _STORE_EVERY_S = 60.0  # what a killed listing may lose; 100,000 rows are written in 1 s
+
+
+def with_group(text: str, of: str) -> str:
+    """Return a regular expression with a group `of` something; raises `ValueError`."""
+    try:
+        groups = re.compile(text).groups
+    except re.error as error:
+        raise ValueError(f"expected a regular expression: {error}") from None
+    if groups < 1:
+        raise ValueError(f"expected a regular expression with a group: {of}")
+    return text
 
 
 class FleetConfig(Section):
@@ -88,13 +100,7 @@ class FleetConfig(Section):
     @field_validator("tail")
     @classmethod
     def _has_a_group(cls, text: str) -> str:
-        try:
-            groups = re.compile(text).groups
-        except re.error as error:
-            raise ValueError(f"expected a regular expression: {error}") from None
-        if groups < 1:
-            raise ValueError("expected a regular expression with a group: the tail")
-        return text
+        return with_group(text, "the tail")
 
     def tails_of(self, files: Sequence[str]) -> dict[str, str]:
         """File -> tail; raises `DataError` where the pattern does not match.
@@ -159,7 +165,6 @@ class Batch:
 
     @property
     def part(self) -> str:
-        """Name of its part in each table."""
         return f"{_folder(self.tail)}/{self.number:05d}.parquet"
 
 
@@ -286,18 +291,12 @@ def _read_part(dataset: Folder, name: str) -> Any:
             )  # fmt: skip
     kinds = pa.schema([(column, pa.type_for_alias(kind)) for column, kind in columns.items()])
     table = table.select(list(columns)).cast(kinds)
-    for number, row in enumerate(table.select(list(_needed(columns))).to_pylist()):
+    decisive = [name for name in _DECISIVE if name in columns]
+    for number, row in enumerate(table.select(decisive).to_pylist()):
         wrong = _wrong_row(row)
         if wrong:
             raise DataError(wrong, file=place, row=number + 1, hint=hint)
     return table
-
-
-def _needed(columns: Mapping[str, str]) -> Iterator[str]:
-    """Columns whose values decide what is done with a row."""
-    for name in ("tail", "file", "batch", "size", "sha256", "status"):
-        if name in columns:
-            yield name
 
 
 def _wrong_row(row: Row) -> str:
@@ -441,23 +440,18 @@ class Fleet:
         self.out.write(DOCUMENT, to_json(document).encode())
 
     def _check_document(self, stored: _Document, own: Mapping[str, Any]) -> None:
-        for tail, sha256 in own["runs"].items():
-            was = stored.runs.get(tail, sha256)
-            if was != sha256:
-                raise ConfigError(
-                    f"the results of {tail} are of the run with sha256 {was[:12]}, this one has "
-                    f"{sha256[:12]}",
-                    file=self.out.address,
-                    hint="Choose another --out, or that run",
-                )
-        for name, own_version in own["versions"].items():
-            was = stored.versions.get(name, "none")
-            if was != own_version:
-                raise ConfigError(
-                    f"the results are of {name} {was}, this is {name} {own_version}",
-                    file=self.out.address,
-                    hint="Choose another --out, or that version",
-                )
+        wrong = [
+            (f"of {tail} are of the run with sha256 {was[:12]}, this one has {now[:12]}", "run")
+            for tail, now in own["runs"].items()
+            if (was := stored.runs.get(tail, now)) != now
+        ] + [
+            (f"are of {name} {was}, this is {name} {now}", "version")
+            for name, now in own["versions"].items()
+            if (was := stored.versions.get(name, "none")) != now
+        ]
+        for problem, what in wrong:
+            hint = f"Choose another --out, or that {what}"
+            raise ConfigError(f"the results {problem}", file=self.out.address, hint=hint)
 
     def _hash(self, rows: Sequence[Row], progress: Progress) -> None:
         """Fill in missing hashes; what is known is stored, also if this is interrupted."""
@@ -537,10 +531,6 @@ class Fleet:
     def _write(self, batch: Batch, tables: Mapping[str, Any]) -> None:
         for name in sorted(tables, key=lambda name: name == "logs"):
             self._write_table(f"{name}/{batch.part}", tables[name])
-
-    def table(self, name: str) -> Any:
-        """One table of the dataset, all batches of it, as a pyarrow table."""
-        return read_table(self.out, name)
 
     def _write_table(self, name: str, table: Any) -> None:
         _, parquet = arrow(Path(name))

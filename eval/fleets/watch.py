@@ -71,7 +71,6 @@ class Key(NamedTuple):
 
     @property
     def unit(self) -> str:
-        """Unit of the values; empty for an output without one."""
         found = described(self.channel).unit if self.quantity == "offset" else "s"
         return "" if found == "-" else found
 
@@ -504,7 +503,7 @@ def commands(alarm: Alarm, flights: str = "FLIGHTS", run: str = "RUN") -> tuple[
         listed = " ".join(shlex.quote(f"{flights}/{file}") for file in files)
         found += [
             f"mkdir {name} && cp {listed} {name}/",
-            f"narxcal diagnose --real {name} --sim {run} --out gap-{name}",
+            f"narxcal diagnose --real {name} --sim {shlex.quote(run)} --out gap-{name}",
         ]
     return tuple(found)
 
@@ -515,7 +514,6 @@ def _remarks(
     unjudged: Mapping[str, int],
     effects: Sequence[Effects],
 ) -> Iterator[str]:
-    """What a reader has to know of the dataset; `unjudged` are tails with their flights."""
     if waiting:
         yield f"{waiting} of the listed batches are not evaluated yet: go on with narxcal fleet"
     failed = int((logs["status"] == FAILED).sum())

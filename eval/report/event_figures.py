@@ -109,7 +109,6 @@ def draw_curves(axes: Axes, time: FloatArray, curves: Curves) -> None:
 
 
 def _levels(axes: Axes, one: Assessment) -> None:
-    """10 % and 90 % of the flight's response."""
     if not np.isfinite(one.flight.response):
         return
     for share in (0.1, 0.9):
@@ -192,7 +191,6 @@ def panel(view: LogView, one: AssessedEvent) -> Picture:
 
 
 def _range(curves: list[FloatArray]) -> tuple[float, float]:
-    """Return what the curves span, with a margin; any range if nothing is known."""
     known = np.concatenate(curves)
     known = known[np.isfinite(known)]
     if not len(known):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from data_prep.log import Log
 from eval.judging.residuals import ResidualTests, independence, whiteness
 from eval.report import plot, style
 from eval.report.style import Picture, picture
-from eval.report.tables import Measure, measures
+from eval.report.tables import Measure, WindowTrial, measures
 from eval.report.view import LogView
 from narxcal.channels import CHANNELS, symbol
 from narxcal.support.arrays import FloatArray
@@ -81,7 +80,6 @@ def _deviation(axes: Axes, time: FloatArray, name: str, deviation: FloatArray) -
 
 
 def residual_tests(view: LogView) -> list[Picture]:
-    """Residual autocorrelation and input cross-correlations of every channel with 95 % bands."""
     return [_residual_test(view.name, part) for part in view.residuals]
 
 
@@ -100,7 +98,6 @@ _CHANCE = "no input correlates more than chance allows (1 % over all lags)"
 
 
 def _judgement(part: ResidualTests) -> str:
-    """Say in words what the bands show, as far as it can be judged."""
     name = symbol(part.channel)
     white = whiteness(part.auto)
     texts = []
@@ -116,77 +113,37 @@ def _judgement(part: ResidualTests) -> str:
     return f"{name}: {'; '.join(texts)}." if texts else f"{name}: too few samples to judge."
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class WindowTrial:
-    """Moving averages of several widths on one log, as the paper's Fig. 5 compares them.
-
-    `rms` is channel -> window (samples) -> RMS of the smoothed minus the unsmoothed signal;
-    `gain` is window -> magnitude response at `frequency_hz` (the closed form for that width).
-    `excerpt` shows the same seconds unsmoothed (`0`) and with each window, `(time,)` each.
-    """
-
-    log: str
-    chosen: int
-    rms: Mapping[str, Mapping[int, float]]
-    frequency_hz: FloatArray
-    gain: Mapping[int, FloatArray]
-    excerpt_channel: str
-    excerpt_time_s: FloatArray
-    excerpt: Mapping[int, FloatArray]
-
-
 def windows(trial: WindowTrial) -> Picture:
     """Show what each moving-average window does to the signal and to its spectrum."""
     columns = 3
     rows = -(-(len(trial.gain) + 1) // columns)
     figure, left, right = style.pair(10.0, 2.9, legend_rows=rows)
-    _excerpt(left, trial)
+    left.plot(
+        trial.excerpt_time_s, trial.excerpt[0], color="#8c959f", lw=0.8, zorder=1,
+        label="not smoothed",
+    )  # fmt: skip
     for colour, (window, gain) in zip(style.CYCLE * 4, trial.gain.items(), strict=False):
-        decibels = 20.0 * np.log10(np.maximum(np.abs(gain), 1e-3))
-        right.plot(
-            trial.frequency_hz,
-            decibels,
-            color=colour,
-            lw=_weight(window, trial),
-            label=_window(window, trial),
-        )
+        chosen = window == trial.chosen
+        look: Any = {
+            "color": colour, "lw": 2.0 if chosen else 1.1,
+            "label": f"{window} samples{' (chosen)' if chosen else ''}",
+        }  # fmt: skip
+        left.plot(trial.excerpt_time_s, trial.excerpt[window], **look)
+        right.plot(trial.frequency_hz, 20.0 * np.log10(np.maximum(np.abs(gain), 1e-3)), **look)
+    left.set_ylabel(style.with_unit(trial.excerpt_channel))
+    style.clock(left, trial.excerpt_time_s)
     right.axhline(-3.0, color="#57606a", lw=0.7, ls=":")
     right.annotate(
         "-3 dB", (1.0, -3.0), xycoords=("axes fraction", "data"), ha="right", va="bottom", size=7
     )
     right.set(xlabel="frequency [Hz]", ylabel="gain [dB]", ylim=(-45.0, 3.0))
-    right.margins(x=0.0)
     for axes in (left, right):
+        axes.margins(x=0.0)
         style.dress(axes)
         style.legend(axes, columns=columns)
-    chosen = f"The chosen window is {trial.chosen} samples."
-    alt = (
-        f"Moving average windows {', '.join(map(str, trial.gain))} on {trial.log}: signal and gain"
-    )
-    return picture(figure, alt, chosen)
-
-
-def _excerpt(axes: Axes, trial: WindowTrial) -> None:
-    colours = dict(zip(trial.gain, style.CYCLE * 4, strict=False))
-    for window, values in trial.excerpt.items():
-        if window == 0:
-            look: dict[str, Any] = {"color": "#8c959f", "lw": 0.8, "zorder": 1}
-            label = "not smoothed"
-        else:
-            look = {"color": colours[window], "lw": _weight(window, trial)}
-            label = _window(window, trial)
-        axes.plot(trial.excerpt_time_s, values, label=label, **look)
-    axes.set_ylabel(style.with_unit(trial.excerpt_channel))
-    style.clock(axes, trial.excerpt_time_s)
-    axes.margins(x=0.0)
-
-
-def _window(window: int, trial: WindowTrial) -> str:
-    return f"{window} samples" + (" (chosen)" if window == trial.chosen else "")
-
-
-def _weight(window: int, trial: WindowTrial) -> float:
-    return 2.0 if window == trial.chosen else 1.1
+    names = ", ".join(map(str, trial.gain))
+    alt = f"Moving average windows {names} on {trial.log}: signal and gain"
+    return picture(figure, alt, f"The chosen window is {trial.chosen} samples.")
 
 
 def spread(found: CrossValidation) -> Picture | None:

@@ -160,7 +160,6 @@ def _mark(time_s: FloatArray, event: Event, move: str, ok: bool | None) -> Mark:
 
 
 def _output(time_s: FloatArray, curves: Curves, shades: Sequence[Shade] = ()) -> Iterator[Panel]:
-    """The curves of one output, and below them their deviation."""
     label, lines = style.with_unit(curves.name), []
     spans_s = style.missing_spans(time_s, curves.measured, _PIXELS)
     missing = [Shade(*span_s, style.MASK) for span_s in spans_s]
@@ -202,7 +201,6 @@ def _windows(one: Assessment | None, t0_s: float) -> list[Shade]:
 
 
 def html(chart: Chart) -> Markup:
-    """The element of a chart; nothing for less than two samples."""
     if len(chart.time_s) < 2:
         return Markup()
     text = json.dumps(_document(chart), separators=(",", ":"), ensure_ascii=False, allow_nan=False)
@@ -319,7 +317,6 @@ def _binned(values: FloatArray, size: int) -> tuple[FloatArray, ...]:
 
 @cache
 def scripts() -> tuple[Markup, ...]:
-    """The scripts of a page with charts, in their order."""
     return tuple(Markup(_shipped(name)) for name in ("vendor/uPlot.iife.min.js", "live.js"))  # noqa: S704 - shipped
 
 

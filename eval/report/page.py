@@ -81,11 +81,11 @@ class PreparedLog:
     name: str
     number: str
     events: int
-    trial: figures.WindowTrial
+    trial: tables.WindowTrial
     parts: Mapping[str, bytes]
 
     @classmethod
-    def of(cls, view: LogView, trial: figures.WindowTrial, number: str) -> PreparedLog:
+    def of(cls, view: LogView, trial: tables.WindowTrial, number: str) -> PreparedLog:
         """Make the tables of one log."""
         macros = _macros()
         parts = {"ranking": macros.rankings([view]), "audit": macros.audits([view])}
@@ -127,12 +127,10 @@ def prepare_page(header: RunHeader, logs: Sequence[PreparedLog]) -> Iterator[str
 
 
 def crossval_page(header: RunHeader, found: CrossValidation) -> str:
-    """Build the page of `crossval`: the verdict, every fold, and the spread over the folds."""
     return render("crossval.html.j2", header=header, outcome=found.outcome, found=found)
 
 
 def compare_page(header: RunHeader, found: Comparison) -> str:
-    """Build the page of `compare`: one table, one figure, the significant differences."""
     return render("compare.html.j2", header=header, found=found)
 
 
@@ -165,7 +163,6 @@ def conditions(view: LogView, event: AssessedEvent) -> str:
 
 
 def masked_share(audit: Audit) -> int:
-    """Return the samples that cleaning masked in all."""
     return sum(entry.samples for entry in audit.entries if entry.action == "masked")
 
 

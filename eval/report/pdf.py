@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
@@ -20,6 +19,7 @@ from matplotlib.font_manager import FontProperties, findfont, get_font
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from matplotlib.textpath import text_to_path
+from matplotlib.transforms import Affine2D
 
 from eval.report.style import RENDERING
 
@@ -37,8 +37,7 @@ _RC: Any = {
 Align = Literal["left", "center", "right"]
 
 
-@dataclass(frozen=True)
-class Column:
+class Column(NamedTuple):
     """One column of a table: its title, width in mm and alignment."""
 
     title: str
@@ -51,6 +50,8 @@ class Page:
 
     def __init__(self, header: tuple[str, str], footer: str) -> None:
         self.figure = Figure(figsize=(WIDTH * _MM, HEIGHT * _MM), facecolor="white")
+        down = Affine2D().scale(1.0 / WIDTH, -1.0 / HEIGHT).translate(0.0, 1.0)
+        self._mm = down + self.figure.transFigure
         self.y = TOP
         left, right = header
         self.text((LEFT, 15.5), left, size=SMALL, color=QUIET)
@@ -64,10 +65,6 @@ class Page:
         """Height in mm that is still free."""
         return BOTTOM - self.y
 
-    def number(self, number: int, total: int) -> None:
-        text = f"Page {number} of {total}"
-        self.text((RIGHT, 284.0), text, size=SMALL, align="right", color=QUIET)
-
     def text(
         self,
         at: tuple[float, float],
@@ -79,28 +76,18 @@ class Page:
         """Write one line whose top is at (x, y) in mm; `look` are color and weight."""
         x, y = at
         self.figure.text(
-            x / WIDTH, 1.0 - (y + 0.8 * size * _POINT_MM) / HEIGHT, printable(text),
-            size=size, ha=align, va="baseline", family=_FAMILY, parse_math=False,
-            **({"color": INK} | look),
+            x, y + 0.8 * size * _POINT_MM, printable(text), transform=self._mm, size=size,
+            ha=align, va="baseline", family=_FAMILY, parse_math=False, **({"color": INK} | look),
         )  # fmt: skip
 
-    def rule(
-        self, y: float, ends: tuple[float, float] = (LEFT, RIGHT), *, width: float = 0.5
-    ) -> None:
+    def rule(self, y: float, ends: tuple[float, float] = (LEFT, RIGHT)) -> None:
         """Draw a horizontal line at `y` between two ends in mm."""
-        across, up = [end / WIDTH for end in ends], [1.0 - y / HEIGHT] * 2
-        self.figure.add_artist(Line2D(across, up, color=RULE, lw=width))
+        self.figure.add_artist(Line2D(ends, [y, y], color=RULE, lw=0.5, transform=self._mm))
 
     def box(self, at: tuple[float, float], size: tuple[float, float], colour: str) -> None:
         """Draw a frame of (width, height) mm whose top left corner is at (x, y)."""
-        (x, y), (width, height) = at, size
-        corner = (x / WIDTH, 1.0 - (y + height) / HEIGHT)
-        self.figure.add_artist(
-            Rectangle(
-                corner, width / WIDTH, height / HEIGHT, transform=self.figure.transFigure,
-                fill=False, ec=colour, lw=0.9,
-            )
-        )  # fmt: skip
+        frame = Rectangle(at, *size, transform=self._mm, fill=False, ec=colour, lw=0.9)
+        self.figure.add_artist(frame)
 
     def heading(self, text: str, *, size: float = 10.0) -> None:
         self.y += 2.0
@@ -180,19 +167,15 @@ def to_pdf(pages: Iterable[Page], total: int, title: str) -> bytes:
     """Return the bytes of a PDF; pages are drawn, numbered and dropped one by one."""
     buffer = io.BytesIO()
     metadata = {"Title": printable(title), "CreationDate": None, "Creator": "narxcal"}
-    with (
-        RENDERING,
-        mpl.rc_context(_RC),
-        PdfPages(buffer, metadata=metadata) as file,
-    ):
+    with RENDERING, mpl.rc_context(_RC), PdfPages(buffer, metadata=metadata) as file:
         for number, page in enumerate(pages, start=1):
-            page.number(number, total)
+            place = f"Page {number} of {total}"
+            page.text((RIGHT, 284.0), place, size=SMALL, align="right", color=QUIET)
             file.savefig(page.figure)
     return buffer.getvalue()
 
 
 def line_mm(size: float) -> float:
-    """Distance of two lines of text in mm."""
     return size * _POINT_MM * _LEADING
 
 

@@ -221,26 +221,22 @@ def _transfer(
     u: FloatArray, y: FloatArray, dt_s: float
 ) -> tuple[FloatArray, FloatArray, FloatArray, float]:
     """Frequencies in Hz without 0, |H| and coherence there, and independent segments."""
+    from scipy.signal import csd  # noqa: PLC0415 - takes a second, and pages draw no spectrum
+
     size = min(round(_SEGMENT_S / dt_s), 2 * len(u) // (_SEGMENTS + 1))
     if size < 4:
         raise DataError(
             f"expected at least {2 * (_SEGMENTS + 1)} samples for a spectrum, found {len(u)}"
         )
-    starts = np.arange(0, len(u) - size + 1, size // 2)
-    window = np.hanning(size + 1)[:-1]
-    pieces = [
-        np.stack([values[at : at + size] for at in starts])
-        for values in (bridge_gaps(u), bridge_gaps(y))
-    ]
-    into, out = (
-        np.fft.rfft(window * (part - part.mean(axis=1, keepdims=True)))[:, 1:] for part in pieces
+    step, (u, y) = size // 2, map(bridge_gaps, (u, y))
+    (hz, both), *alone = (
+        csd(a, b, 1.0 / dt_s, nperseg=size, noverlap=size - step)
+        for a, b in ((u, y), (u, u), (y, y))
     )
-    both = (into.conj() * out).mean(axis=0)
-    own, other = ((np.abs(part) ** 2).mean(axis=0) for part in (into, out))
-    tiny = np.finfo(float).tiny
+    (own, other), tiny = (part.real for _, part in alone), np.finfo(float).tiny
     coherence = np.abs(both) ** 2 / np.maximum(own * other, tiny)
-    hz: FloatArray = np.fft.rfftfreq(size, dt_s)[1:].astype(np.float64)
-    return hz, np.abs(both) / np.maximum(own, tiny), coherence, len(starts) / _OVERLAP
+    gain = np.abs(both) / np.maximum(own, tiny)
+    return hz[1:], gain[1:], coherence[1:], ((len(u) - size) // step + 1) / _OVERLAP
 
 
 def events(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
 from pathlib import PurePath
@@ -179,7 +179,6 @@ def _with_room(guide: Guide, pages: list[Page], height: float) -> Page:
 def _tabled(
     guide: Guide, page: Page, columns: Sequence[Column], rows: Sequence[Sequence[str]]
 ) -> list[Page]:
-    """Return `page` with the table, and further pages as long as rows are left."""
     pages, done = [page], page.table(columns, rows)
     while done < len(rows):
         pages.append(_page(guide, "continued"))
@@ -383,7 +382,6 @@ def _driven(guide: Guide, test: Test, rows: slice) -> str:
 
 
 def _marks(guide: Guide) -> str:
-    """How far tolerances and definitions of the rule set are verified."""
     wanted = ("Tolerances", "Ti and Tt")
     marks = [f"{one.subject}: {one.mark}" for one in guide.rules.clauses if one.subject in wanted]
     return "; ".join(marks)
@@ -512,10 +510,8 @@ def _times(check: TimeCheck | None) -> list[str]:
             f"{check.allowed_s:.3f}"]  # fmt: skip
 
 
-def _of_master(row: object, name: str, now: TimeCheck | None) -> list[str]:
-    """The master's simulated time, and by how much this run differs from it."""
-    found = row.get(name) if isinstance(row, dict) else None
-    model = found.get("model") if isinstance(found, dict) else None
+def _of_master(row: Mapping[str, Any], name: str, now: TimeCheck | None) -> list[str]:
+    model = row[name]["model"]
     if model is None:
         return ["-"] * 4
     change = "-" if now is None else f"{now.model_s - model:+.3f}"

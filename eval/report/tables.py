@@ -19,6 +19,7 @@ from eval.report.style import NOTHING, number, unit, with_unit
 from eval.report.view import LogView
 from narxcal.channels import symbol
 from narxcal.intervals import LEVEL
+from narxcal.support.arrays import FloatArray
 from training.responses.rules import TimeCheck
 from training.responses.transients import AssessedEvent, Assessment, not_assessable, tally
 
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     from eval.judging.compare import Row as ComparedRow
     from eval.judging.crossval import CrossValidation, FoldResult
     from eval.judging.trim import Trim
-    from eval.report.figures import WindowTrial
     from eval.reproduce.noise import NoiseSweep
 
 Mark = Literal["", "best", "good", "bad", "none", "strong", "head", "group"]
@@ -74,7 +74,6 @@ class Table:
 
 
 def figure(value: float | None, mark: Mark = "", digits: int = 3) -> Cell:
-    """Put a number into a cell."""
     return Cell(number(value, digits), mark, number=True)
 
 
@@ -183,7 +182,6 @@ def audit(log: Log, caption: str) -> Table:
 
 
 def _together(entries: Iterable[AuditEntry]) -> list[AuditEntry]:
-    """Entries of one channel, action and reason as one."""
     found: dict[tuple[str, str, str], AuditEntry] = {}
     for entry in entries:
         key = entry.channel, entry.action, entry.reason
@@ -198,6 +196,25 @@ def sources(files: Sequence[Source]) -> Table:
     """Every data file with its hash, which pins exactly what was evaluated."""
     rows = [row(part.file, part.engine or NOTHING, part.sha256 or NOTHING) for part in files]
     return Table("Data", ("file", "engine", "SHA-256"), tuple(rows))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WindowTrial:
+    """Moving averages of several widths on one log, as the paper's Fig. 5 compares them.
+
+    `rms` is channel -> window (samples) -> RMS of the smoothed minus the unsmoothed signal;
+    `gain` is window -> magnitude response at `frequency_hz` (the closed form for that width).
+    `excerpt` shows the same seconds unsmoothed (`0`) and with each window, `(time,)` each.
+    """
+
+    log: str
+    chosen: int
+    rms: Mapping[str, Mapping[int, float]]
+    frequency_hz: FloatArray
+    gain: Mapping[int, FloatArray]
+    excerpt_channel: str
+    excerpt_time_s: FloatArray
+    excerpt: Mapping[int, FloatArray]
 
 
 def windows(trials: Sequence[WindowTrial]) -> Table:
@@ -270,7 +287,6 @@ def folds(found: CrossValidation, scheme: str) -> Table:
 
 
 def fold_name(fold: FoldResult) -> str:
-    """Its name, and the seed that drew it."""
     return fold.name if fold.seed is None else f"{fold.name}, seed {fold.seed}"
 
 

@@ -189,7 +189,6 @@ def _curve(axes: Axes, one: Effects) -> None:
 
 
 def console_rows(found: Watch) -> list[list[str]]:
-    """A row per alarm for the command line."""
     return [
         [
             _title(alarm), ", ".join(dict.fromkeys(key.what for key, _ in alarm.changes)),

@@ -6,7 +6,7 @@ from argparse import ArgumentParser, Namespace
 from collections import Counter
 from typing import Any
 
-from eval.fleets.fleet import SCHEMA, Fleet, load_fleet
+from eval.fleets.fleet import SCHEMA, Fleet, load_fleet, read_table
 from eval.fleets.fleet_rows import DUPLICATE, FAILED, GOOD
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_jobs, add_trust, address, path
@@ -50,7 +50,7 @@ def run(options: Namespace, console: Console) -> int:
         raise KeyboardInterrupt(
             f"{there} of {len(rows)} files are in {options.out}; the same command goes on"
         ) from None
-    logs = fleet.table("logs").select(_SHOWN).to_pylist()
+    logs = read_table(fleet.out, "logs").select(_SHOWN).to_pylist()
     _show(console, logs)
     _warn(console, logs)
     console.document({"schema": SCHEMA, "out": str(options.out), **_summary(logs)})

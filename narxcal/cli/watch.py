@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import re
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 
-from eval.fleets.fleet import load_fleet
+from eval.fleets.fleet import load_fleet, with_group
 from eval.fleets.watch import watch
 from eval.report.page import RunHeader
 from eval.report.watch_page import console_rows, watch_page
@@ -35,12 +34,9 @@ def add_options(parser: ArgumentParser) -> None:
 
 def _pattern(text: str) -> str:
     try:
-        groups = re.compile(text).groups
-    except re.error as error:
-        raise ArgumentTypeError(f"expected a regular expression: {error}") from None
-    if groups < 1:
-        raise ArgumentTypeError("expected a regular expression with a group: the engine")
-    return text
+        return with_group(text, "the engine")
+    except ValueError as error:
+        raise ArgumentTypeError(str(error)) from None
 
 
 def run(options: Namespace, console: Console) -> int:

@@ -1,8 +1,9 @@
 """`narxcal fleet` in one process: what is in the dataset, how it grows, what it refuses."""
 
-import io
 import math
 import re
+import shutil
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -19,30 +20,39 @@ from narxcal.cli import main
 from narxcal.support.addresses import Folder
 from narxcal.support.csv_text import log_csv
 from narxcal.support.parallel import WorkerDied
+from tests.eval.conftest import lag_bundle, lag_log
 
 CONFIG = 'schema = "narxcal.fleet/1"\nflights = "{flights}"\nrun = "{run}"\nbatch = 2\n'
 FLIGHTS = {"N1": 3, "N2": 2, "_3": 1}
 
 
-def content(make_log, seed, duration_s=60.0, offset=(0.0, 0.0)):
+def content(seed, duration_s=60.0, offset=(0.0, 0.0)):
     """A flight of the lag engine with a noise of its own."""
-    log = make_log(duration_s=duration_s, offset=offset)
+    log = lag_log(duration_s=duration_s, offset=offset)
     noise = np.random.default_rng(seed).normal(0.0, 0.02, len(log))
     channels = {**log.channels, "N1_pct": log["N1_pct"] + noise}
     return log_csv({"time_s": log.time_s, **channels}).encode()
 
 
-@pytest.fixture
-def fleet(tmp_path, make_log, make_bundle):
-    """Three tails with six flights in four batches, and their configuration."""
-    save_bundle(tmp_path / "run", make_bundle())
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Three tails with six flights in four batches, their configuration and their dataset F."""
+    folder = tmp_path_factory.mktemp("fleet")
+    save_bundle(folder / "run", lag_bundle())
     for tail, flights in FLIGHTS.items():
-        (tmp_path / "flights" / tail).mkdir(parents=True)
+        (folder / "flights" / tail).mkdir(parents=True)
         for number in range(flights):
-            data = content(make_log, seed=len(tail) + 10 * number + ord(tail[-1]))
-            (tmp_path / "flights" / tail / f"f{number}.csv").write_bytes(data)
-    (tmp_path / "fleet.toml").write_text(CONFIG.format(flights="flights", run="run"), "utf-8")
-    return tmp_path
+            data = content(seed=len(tail) + 10 * number + ord(tail[-1]))
+            (folder / "flights" / tail / f"f{number}.csv").write_bytes(data)
+    (folder / "fleet.toml").write_text(CONFIG.format(flights="flights", run="run"), "utf-8")
+    grow = ["fleet", str(folder / "fleet.toml"), "--out", str(folder / "F"), "--jobs", "1"]
+    assert main([*grow, "--quiet"]) == 0
+    return folder
+
+
+@pytest.fixture
+def fleet(made, tmp_path):
+    return Path(shutil.copytree(made, tmp_path, dirs_exist_ok=True))
 
 
 @pytest.fixture
@@ -65,8 +75,7 @@ def parts(folder):
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
 
 
-def test_each_log_is_there_once_with_the_figures_of_evaluate(fleet, grow):
-    assert grow().code == 0
+def test_each_log_is_there_once_with_the_figures_of_evaluate(fleet):
     logs = pd.read_parquet(fleet / "F" / "logs")
     assert sorted(logs["file"]) == sorted(
         f"{tail}/f{number}.csv" for tail, flights in FLIGHTS.items() for number in range(flights)
@@ -88,8 +97,7 @@ def test_each_log_is_there_once_with_the_figures_of_evaluate(fleet, grow):
     ]
 
 
-def test_a_reader_of_parquet_finds_the_rows_of_a_tail_in_its_folder(fleet, grow):
-    grow()
+def test_a_reader_of_parquet_finds_the_rows_of_a_tail_in_its_folder(fleet):
     assert set(pd.read_parquet(fleet / "F" / "trims" / "%5F3")["tail"]) == {"_3"}
     for table, columns in TABLES.items():
         found = pd.read_parquet(fleet / "F" / table)
@@ -125,7 +133,6 @@ def test_a_log_of_which_workers_die_is_a_row(fleet, grow, monkeypatch):
                 raise WorkerDied(item, "4 workers died with the same work")
             yield work(item)
 
-    grow()
     whole = pd.read_parquet(fleet / "F" / "logs").set_index("file")
     monkeypatch.setattr("eval.fleets.fleet.in_processes", dying)
     assert grow("G").code == 0
@@ -158,7 +165,6 @@ def test_the_same_samples_in_other_bytes_are_reported(fleet, grow):
 
 
 def test_memory_in_and_out_gives_the_same_bytes(fleet, grow):
-    grow()
     MemoryFileSystem.store.clear()
     for path in (fleet / "flights").rglob("*.csv"):
         name = path.relative_to(fleet / "flights").as_posix()
@@ -172,10 +178,9 @@ def test_memory_in_and_out_gives_the_same_bytes(fleet, grow):
     assert {name: Folder("memory://fleet").read(name) for name in names} == parts(fleet / "F")
 
 
-def test_later_flights_form_later_batches_and_touch_nothing(fleet, grow, make_log):
-    grow()
+def test_later_flights_form_later_batches_and_touch_nothing(fleet, grow):
     before = parts(fleet / "F")
-    (fleet / "flights/N1/a.csv").write_bytes(content(make_log, seed=99))
+    (fleet / "flights/N1/a.csv").write_bytes(content(seed=99))
     said = grow().out
     assert "6 of 7 files are in" in said
     after = parts(fleet / "F")
@@ -185,7 +190,6 @@ def test_later_flights_form_later_batches_and_touch_nothing(fleet, grow, make_lo
 
 @pytest.mark.parametrize("batches", [0, 1, 3])
 def test_interrupted_anywhere_and_gone_on_with_is_the_same_dataset(fleet, grow, batches):
-    grow()
     stopped = Fleet(Folder(str(fleet / "G")), load_fleet(fleet / "fleet.toml"))
     left = stopped.batches(stopped.list_files())
     written = iter(range(batches))
@@ -201,7 +205,6 @@ def test_interrupted_anywhere_and_gone_on_with_is_the_same_dataset(fleet, grow, 
 
 
 def test_a_batch_whose_last_table_is_missing_is_computed_anew(fleet, grow):
-    grow()
     whole = parts(fleet / "F")
     (fleet / "F/logs/N1/00000.parquet").unlink()
     (fleet / "F/events/N1/00000.parquet").write_bytes(b"")
@@ -209,21 +212,21 @@ def test_a_batch_whose_last_table_is_missing_is_computed_anew(fleet, grow):
     assert parts(fleet / "F") == whole
 
 
-def test_one_run_per_tail(fleet, grow, make_bundle):
+def test_one_run_per_tail(fleet, grow):
     for tail in FLIGHTS:
-        save_bundle(fleet / "runs" / tail, make_bundle((2.5, 0.8) if tail == "N2" else (1.5, 0.8)))
+        save_bundle(fleet / "runs" / tail, lag_bundle((2.5, 0.8) if tail == "N2" else (1.5, 0.8)))
     text = CONFIG.format(flights="flights", run="runs/{tail}")
     (fleet / "tails.toml").write_text(text, "utf-8")
-    assert grow(config="tails.toml").code == 0
-    scores = pd.read_parquet(fleet / "F" / "scores")
+    assert grow("G", config="tails.toml").code == 0
+    scores = pd.read_parquet(fleet / "G" / "scores")
     n1 = scores[scores["channel"] == "N1_pct"].groupby("tail")["rmse"].min()
     assert n1["N2"] > 20.0 * n1["N1"]
 
 
-def test_the_offset_at_a_power_level_is_found_with_its_error(fleet, grow, make_log):
+def test_the_offset_at_a_power_level_is_found_with_its_error(fleet, grow):
     true = 0.7
     for number in range(12):
-        data = content(make_log, 50 + number, duration_s=400.0, offset=(true, 0.0))
+        data = content(50 + number, duration_s=400.0, offset=(true, 0.0))
         (fleet / f"flights/N1/long{number}.csv").write_bytes(data)
     grow()
     trims = pd.read_parquet(fleet / "F" / "trims")
@@ -251,19 +254,67 @@ def refused(found, message):
     assert found.err == f"narxcal: error: {message}\n"
 
 
-def test_a_fleet_without_flights(fleet, grow):
+def nowhere(fleet):
     (fleet / "none").mkdir()
-    text = CONFIG.format(flights="none", run="run")
-    (fleet / "fleet.toml").write_text(text, "utf-8")
-    refused(grow(), f"{fleet}/none: no file matches **/*.csv or **/*.csv.gz. Set flights and files")
+    (fleet / "fleet.toml").write_text(CONFIG.format(flights="none", run="run"), "utf-8")
 
 
-def test_a_flight_without_a_tail(fleet, grow):
+def other_run(fleet):
+    save_bundle(fleet / "run", lag_bundle((2.0, 0.8)), replace=True)
+
+
+def other_version(fleet):
+    document = fleet / "F" / "fleet.json"
+    text = re.sub('"narxcal": ".*?"', '"narxcal": "0.0.7"', document.read_text("utf-8"), count=1)
+    document.write_text(text, "utf-8")
+
+
+def grown(fleet):
+    with (fleet / "flights/N1/f0.csv").open("ab") as file:
+        file.write(b"\n")
+
+
+def loose(fleet):
     (fleet / "flights/loose.csv").touch()
-    refused(
-        grow(),
-        "loose.csv: its name does not match tail = '([^/]+)/[^/]+$'. Correct the latter",
-    )
+
+
+def unlisted(fleet):
+    (fleet / "F/worklist.parquet").unlink()
+
+
+def damaged(fleet):
+    (fleet / "F/worklist.parquet").write_bytes(b"PAR1 no more")
+
+
+OTHER = "the results of N1 are of the run with sha256 {1}, this one has {2}"
+GROWN = "{0}/flights/N1/f0.csv: it had {3} bytes when it was listed, now {4}"
+LOOSE = "loose.csv: its name does not match tail = '([^/]+)/[^/]+$'"
+VERSION = "{0}/F: the results are of narxcal 0.0.7, this is narxcal 0.1.0"
+NONE = "{0}/none: no file matches **/*.csv or **/*.csv.gz"
+RESTORE = "Restore it, or choose another --out"
+
+
+@pytest.mark.parametrize(
+    ("change", "problem", "hint"),
+    [
+        (nowhere, NONE, "Set flights and files"),
+        (loose, LOOSE, "Correct the latter"),
+        (other_run, f"{{0}}/F: {OTHER}", "Choose another --out, or that run"),
+        (other_version, VERSION, "Choose another --out, or that version"),
+        (grown, GROWN, "Restore it, or evaluate the fleet into another --out"),
+        (damaged, "{0}/F/worklist.parquet: the Parquet file is damaged", RESTORE),
+        (unlisted, "{0}/F: the work list is missing", RESTORE),
+    ],
+)
+def test_what_is_not_gone_on_with(fleet, grow, change, problem, hint):
+    flight = fleet / "flights/N1/f0.csv"
+    was, size = load_bundle(fleet / "run").sha256[:12], flight.stat().st_size
+    before = parts(fleet / "F" / "logs")
+    change(fleet)
+    now = load_bundle(fleet / "run").sha256[:12]
+    message = problem.format(fleet, was, now, size, flight.stat().st_size)
+    refused(grow(), f"{message}. {hint}")
+    assert parts(fleet / "F" / "logs") == before
 
 
 @pytest.mark.parametrize(
@@ -283,59 +334,21 @@ def test_a_bad_configuration(fleet, grow, line, problem):
     assert problem in found.err
 
 
-def test_another_run_than_the_datasets(fleet, grow, make_bundle):
-    grow()
-    before = parts(fleet / "F")
-    was = load_bundle(fleet / "run").sha256[:12]
-    save_bundle(fleet / "run", make_bundle((2.0, 0.8)), replace=True)
-    now = load_bundle(fleet / "run").sha256[:12]
-    refused(
-        grow(),
-        f"{fleet / 'F'}: the results of N1 are of the run with sha256 {was}, this one has {now}. "
-        "Choose another --out, or that run",
-    )
-    assert parts(fleet / "F") == before
-
-
-def test_results_of_another_version(fleet, grow):
-    grow()
-    document = fleet / "F" / "fleet.json"
-    text = re.sub('"narxcal": ".*?"', '"narxcal": "0.0.7"', document.read_text("utf-8"), count=1)
-    document.write_text(text, "utf-8")
-    refused(
-        grow(),
-        f"{fleet / 'F'}: the results are of narxcal 0.0.7, this is narxcal 0.1.0. "
-        "Choose another --out, or that version",
-    )
-
-
-def test_a_flight_that_changed_since_it_was_listed(fleet, grow):
-    grow()
-    file = fleet / "flights/N1/f0.csv"
-    size = file.stat().st_size
-    file.write_bytes(file.read_bytes() + b"\n")
-    refused(
-        grow(),
-        f"{file}: it had {size} bytes when it was listed, now {size + 1}. "
-        "Restore it, or evaluate the fleet into another --out",
-    )
-
-
 def test_a_flight_that_changes_between_list_and_evaluation_is_a_row(fleet, grow):
-    found = Fleet(Folder(str(fleet / "F")), load_fleet(fleet / "fleet.toml"))
+    found = Fleet(Folder(str(fleet / "G")), load_fleet(fleet / "fleet.toml"))
     batches = found.batches(found.list_files())
     file = fleet / "flights/N1/f0.csv"
     file.write_bytes(file.read_bytes().replace(b"0.3,", b"0.4,", 1))
     found.grow(batches)
-    logs = pd.read_parquet(fleet / "F/logs").set_index("file")
+    logs = pd.read_parquet(fleet / "G/logs").set_index("file")
     assert logs.loc["N1/f0.csv", "reason"].startswith("the file changed: sha256 was ")
 
 
 def test_other_content_is_left_alone(fleet, grow):
-    (fleet / "F").mkdir()
-    (fleet / "F" / "letter.txt").write_text("dear", "utf-8")
-    refused(grow(), f"{fleet / 'F'}: the folder holds other content. Choose another --out")
-    assert parts(fleet / "F") == {"letter.txt": b"dear"}
+    (fleet / "G").mkdir()
+    (fleet / "G" / "letter.txt").write_text("dear", "utf-8")
+    refused(grow("G"), f"{fleet / 'G'}: the folder holds other content. Choose another --out")
+    assert parts(fleet / "G") == {"letter.txt": b"dear"}
 
 
 def test_an_address_of_an_unknown_kind(fleet, grow):
@@ -350,27 +363,7 @@ def test_an_address_of_an_unknown_kind(fleet, grow):
 
 def test_a_run_that_is_none(fleet, grow):
     (fleet / "fleet.toml").write_text(CONFIG.format(flights="flights", run="no"), "utf-8")
-    found = grow()
+    found = grow("G")
     assert found.code == 2
     assert str(fleet / "no") in found.err
-    assert not (fleet / "F").exists()
-
-
-def test_a_damaged_work_list_is_named(fleet, grow):
-    grow()
-    (fleet / "F/worklist.parquet").write_bytes(b"PAR1 no more")
-    found = grow()
-    refused(
-        found,
-        f"{fleet}/F/worklist.parquet: the Parquet file is damaged. "
-        "Restore it, or choose another --out",
-    )
-    (fleet / "F/worklist.parquet").unlink()
-    missing = f"{fleet}/F: the work list is missing. Restore it, or choose another --out"
-    refused(grow(), missing)
-
-
-def test_the_parts_are_parquet_of_the_documented_columns(fleet, grow):
-    grow()
-    raw = (fleet / "F/logs/N2/00000.parquet").read_bytes()
-    assert pd.read_parquet(io.BytesIO(raw))["samples"].tolist() == [600, 600]
+    assert not (fleet / "G").exists()

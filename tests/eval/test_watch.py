@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 import sys
 from dataclasses import replace
 from types import SimpleNamespace
@@ -9,9 +10,11 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
+from markupsafe import escape
 
 from eval.fleets.drift import Change
-from eval.fleets.watch import Key, _Cells, _excess, _natural, cause, commands, watch
+from eval.fleets.fleet import SCHEMA
+from eval.fleets.watch import Key, _Cells, _excess, _natural, cause, watch
 from narxcal.cli import main
 from narxcal.support.addresses import Folder
 from tests.eval.drawn_fleet import HOURS, SPREADS, Case, draw, judged
@@ -119,8 +122,7 @@ def test_both_engines_at_once_are_what_they_share(seen):
 
 def test_a_fleet_without_a_change_passes(seen):
     found = seen("wear", 0.0)
-    assert found.alarms == ()
-    assert found.outcome.exit_code == 0
+    assert (found.alarms, found.outcome.exit_code) == ((), 0)
     assert found.hours["T01"][-1] == pytest.approx(16 * HOURS)
 
 
@@ -159,31 +161,29 @@ def test_a_declared_channel_has_the_unit_of_its_name():
     ]
 
 
-def test_an_alarm_names_the_commands_that_diagnose_it(seen):
-    lines = commands(seen().alarms[0], "my flights", "runs/{tail}")
-    assert lines[0].startswith("mkdir before && cp 'my flights/0002.csv' ")
-    assert lines[3] == "narxcal diagnose --real after --sim runs/T00 --out gap-after"
+HOSTILE = "<b>$x$ & T00"  # a tail that HTML, mathematical text and a shell would each read
 
 
 def test_page_and_document(drawn, narxcal, tmp_path, monkeypatch):
     monkeypatch.setattr("eval.report.watch_page.MOST_DRAWN", 1)
+    renamed = rewritten(drawn(), tmp_path, lambda _, table: table.replace("T00", HOSTILE)).address
+    (tmp_path / "fleet.toml").write_text(FLEET.replace('"run"', '"runs/{tail}"'), "utf-8")
     page = tmp_path / "watch.html"
-    done = narxcal(drawn(), "--out", page)
+    done = narxcal(renamed, "--out", page, "--config", tmp_path / "fleet.toml", "--json")
     assert done.code == 1
-    assert "1 alarm in 4 tails, 96.0 flight hours" in done.out
     html = page.read_text("utf-8")
-    assert "T00 right: step at" in html
+    assert f"{escape(HOSTILE)} right: step at" in html
+    assert f"{escape(HOSTILE)} right</text>" in html  # of the map
+    assert HOSTILE not in html
+    command = f"--sim {shlex.quote(f'{tmp_path}/runs/{HOSTILE}')} --out gap-after"
+    assert str(escape(command)) in html
     assert re.search(r"src=|href=\"(?!#|data:)", html) is None  # self-contained
     document = json.loads((tmp_path / "watch.json").read_text("utf-8"))
-    assert document["schema"] == "narxcal.watch/1"
-    assert document["ok"] is False
+    assert document == json.loads(done.out)
+    assert (document["schema"], document["ok"]) == ("narxcal.watch/1", False)
+    assert document["headline"] == "1 alarm in 4 tails, 96.0 flight hours"
     assert len(document["series"]) == 4 * 2 * 4
     assert document["alarms"][0]["changes"][0]["adjusted"] < 0.05
-    refused = narxcal(drawn(), "--out", page)
-    assert refused.code == 2
-    assert f"output file {page} exists" in refused.err
-    again = narxcal(drawn(), "--out", page, "--overwrite", "--json")
-    assert json.loads(again.out) == document
 
 
 def rewritten(folder, tmp_path, change):
@@ -193,7 +193,8 @@ def rewritten(folder, tmp_path, change):
         target.parent.mkdir(parents=True, exist_ok=True)
         if path.suffix == ".parquet":
             name = path.relative_to(folder).parts[0]
-            change(name, pd.read_parquet(path)).to_parquet(target)
+            if (table := change(name, pd.read_parquet(path))) is not None:
+                table.to_parquet(target)
         elif path.is_file():
             target.write_bytes(path.read_bytes())
     return Folder(str(tmp_path / "G"))
@@ -355,46 +356,43 @@ HELP = ". See narxcal watch --help"
 HINT = "Name the folder that narxcal fleet wrote"
 
 
-def test_a_folder_that_is_no_dataset(narxcal, tmp_path):
+GAP = '{"schema": "narxcal.gap/2"}'
+EMPTY = '{"schema": "narxcal.fleet-dataset/1", "runs": {}, "versions": {}}'
+
+
+@pytest.mark.parametrize(
+    ("document", "message"),
+    [
+        (None, f": there is no fleet.json. {HINT}"),
+        (GAP, f"/fleet.json: expected the schema {SCHEMA}, found narxcal.gap/2. {HINT}"),
+        (EMPTY, ": no batch of logs is evaluated yet. Go on with narxcal fleet first"),
+    ],
+)
+def test_a_folder_that_is_no_dataset(narxcal, tmp_path, document, message):
     (tmp_path / "F").mkdir()
+    if document:
+        (tmp_path / "F/fleet.json").write_text(document, "utf-8")
     page = tmp_path / "page.html"
-    refused(narxcal(tmp_path / "F", "--out", page), f"{tmp_path}/F: there is no fleet.json. {HINT}")
-    (tmp_path / "F/fleet.json").write_text('{"schema": "narxcal.gap/2"}', "utf-8")
-    refused(
-        narxcal(tmp_path / "F", "--out", page),
-        f"{tmp_path}/F/fleet.json: expected the schema narxcal.fleet-dataset/1, found "
-        f"narxcal.gap/2. {HINT}",
-    )
-    empty = '{"schema": "narxcal.fleet-dataset/1", "runs": {}, "versions": {}}'
-    (tmp_path / "F/fleet.json").write_text(empty, "utf-8")
-    refused(
-        narxcal(tmp_path / "F", "--out", page),
-        f"{tmp_path}/F: no batch of logs is evaluated yet. Go on with narxcal fleet first",
-    )
+    refused(narxcal(tmp_path / "F", "--out", page), f"{tmp_path}/F{message}")
     assert not page.exists()
 
 
-def test_a_dataset_without_one_of_its_tables(drawn, narxcal, tmp_path):
-    dataset = rewritten(drawn(), tmp_path, lambda _, table: table)
-    for part in (tmp_path / "G/trims").rglob("*.parquet"):
-        part.unlink()
-    refused(
-        narxcal(dataset.address, "--out", tmp_path / "page.html"),
-        f"{dataset.address}: the table trims is missing. Restore it, or remove the table logs: all "
-        "is then computed anew",
-    )
+def failed(name, table):
+    return table.assign(status="failed") if name == "logs" else table
 
 
-def test_a_dataset_whose_logs_all_failed(drawn, narxcal, tmp_path):
-    def failed(name, table):
-        return table.assign(status="failed") if name == "logs" else table
+MISSING = "the table trims is missing. Restore it, or remove the table logs: all is then computed"
+NONE = "the dataset has no evaluated log. Its table logs says why; evaluate some with narxcal fleet"
 
-    dataset = rewritten(drawn(), tmp_path, failed)
-    refused(
-        narxcal(dataset.address, "--out", tmp_path / "page.html"),
-        f"{dataset.address}: the dataset has no evaluated log. Its table logs says why; evaluate "
-        "some with narxcal fleet",
-    )
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [(lambda name, table: None if name == "trims" else table, f"{MISSING} anew"), (failed, NONE)],
+)
+def test_a_dataset_without_what_is_judged(drawn, narxcal, tmp_path, change, message):
+    dataset = rewritten(drawn(), tmp_path, change)
+    done = narxcal(dataset.address, "--out", tmp_path / "page.html")
+    refused(done, f"{dataset.address}: {message}")
 
 
 def test_an_installation_without_the_extra(drawn, narxcal, tmp_path, monkeypatch):
@@ -405,19 +403,16 @@ def test_an_installation_without_the_extra(drawn, narxcal, tmp_path, monkeypatch
     )
 
 
+PATTERN = "argument --engine: expected a regular expression"
+SHUT = f"{PATTERN}: missing ), unterminated subpattern at position 0{HELP}"
+
+
 @pytest.mark.parametrize(
     ("options", "problem"),
     [
         (("--out", "a.pdf"), "the page is a .html file, and --out names a.pdf. Name it a.html"),
-        (
-            ("--out", "p.html", "--engine", "L"),
-            "argument --engine: expected a regular expression with a group: the engine" + HELP,
-        ),
-        (
-            ("--out", "p.html", "--engine", "("),
-            "argument --engine: expected a regular expression: missing ), unterminated subpattern"
-            " at position 0" + HELP,
-        ),
+        (("--out", "p.html", "--engine", "L"), f"{PATTERN} with a group: the engine{HELP}"),
+        (("--out", "p.html", "--engine", "("), SHUT),
     ],
 )
 def test_a_bad_command_line(narxcal, options, problem):

@@ -11,15 +11,15 @@ from eval.report.style import number
 from eval.report.view import view_of
 from eval.run_logs import EvaluateConfig
 from narxcal.support.errors import DataError
+from tests.eval.conftest import lag_bundle, lag_log
 
 INPUTS = ("TRA_deg", "Mach")
 
 
-@pytest.fixture
-def slow(make_bundle, make_log):
+@pytest.fixture(scope="module")
+def slow():
     """An engine 40 % slower and 0.5 % off its model, evaluated with trim."""
-    log = make_log(tau_s=(2.1, 0.8), offset=(0.5, 0.0))
-    return evaluate(make_bundle(), [log], trim=0.2)
+    return evaluate(lag_bundle(), [lag_log(tau_s=(2.1, 0.8), offset=(0.5, 0.0))], trim=0.2)
 
 
 @pytest.mark.slow

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import warnings
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -19,7 +18,7 @@ from eval.judging.trim import Trim
 from eval.preparation import most_to_show
 from eval.report import tables
 from eval.report.event_figures import summary_figure
-from eval.report.figures import WindowTrial, residual_tests
+from eval.report.figures import residual_tests
 from eval.report.page import (
     PreparedLog,
     RunHeader,
@@ -28,7 +27,7 @@ from eval.report.page import (
     prepare_page,
     worst_events,
 )
-from eval.report.style import number
+from eval.report.tables import WindowTrial
 from eval.report.view import LogView
 from eval.run_logs import EvaluateConfig
 from training.responses.transients import AssessedEvent
@@ -75,14 +74,13 @@ def evaluation(header, view, evaluated, outcome_of) -> str:
     return evaluate_page(header, [view(one=one)], outcome_of(one))
 
 
-def test_every_page_is_sound_escaped_and_self_contained(evaluation, header, view, sound_page):
-    pages = [
-        evaluation,
-        prepared_page(header, without_model(view())),
-        crossval_page(header, folds([1.0, 6.0])),
-    ]
-    for html in pages:
+def test_every_page_is_sound_escaped_self_contained_and_the_same_bytes(
+    evaluation, header, view, sound_page
+):
+    prepared = prepared_page(header, without_model(view()))
+    for html in (evaluation, prepared, crossval_page(header, folds([1.0, 6.0]))):
         assert HOSTILE in "".join(sound_page(html).text)
+    assert prepared == prepared_page(header, without_model(view()))  # the same bytes each time
 
 
 def test_drawings_do_not_take_the_colours_of_the_page(evaluation):
@@ -105,16 +103,11 @@ def test_on_paper_two_drawings_fit_under_each_other(evaluation):
     assert "figure, .verdict, .tile, tr { break-inside: avoid; }" in printed
 
 
-def test_cautions_stand_at_the_head_of_a_page(header, view):
+def test_cautions_stand_at_the_head_of_a_page(header):
     cautioned = replace(header, cautions=[HOSTILE])
-    html = prepared_page(cautioned, without_model(view()))
+    html = crossval_page(cautioned, folds([1.0]))
     assert '<ul class="warnings"><li>&lt;script&gt;' in html[: html.index("</header>")]
-    assert '<ul class="warnings">' not in prepared_page(header, without_model(view()))
-
-
-def test_a_page_is_the_same_bytes_each_time(header, view):
-    outcome = Outcome(passed=True, headline="h")
-    assert evaluate_page(header, [view()], outcome) == evaluate_page(header, [view()], outcome)
+    assert '<ul class="warnings">' not in crossval_page(header, folds([1.0]))
 
 
 def test_the_page_says_in_words_how_many_transients_pass(evaluation):
@@ -149,28 +142,16 @@ def test_equal_repairs_of_a_channel_stand_in_one_row():
     ]
 
 
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [(0.9997, "1.00"), (1.0004, "1.00"), (0.09996, "0.100"), (99.96, "100"), (7.125, "7.12")],
-)
-def test_numbers_have_three_digits_after_rounding(value, text):
-    assert number(value) == text
-
-
-def test_events_that_are_not_assessable_count_on_neither_side(evaluated, outcome_of):
+def test_events_that_are_not_assessable_count_on_neither_side(header, view, evaluated, outcome_of):
     one = evaluated()
     found = outcome_of(one)
     assert (found.passed, found.exit_code) == (False, 1)
     assert found.headline.startswith("1 of 2 assessable transients (50 %) meet")
-    kept = replace(one, events=tuple(event for event in one.events if event.ok))
-    few = outcome_of(kept)
+    few = outcome_of(replace(one, events=tuple(event for event in one.events if event.ok)))
     assert (few.passed, few.exit_code) == (None, 1)
     assert few.lines[0].startswith("Ti/Tt: ")
     assert few.lines[0].endswith("a verdict takes 3 of each that can be assessed.")
-
-
-def test_nothing_assessable_is_neither_pass_nor_fail(header, view, evaluated, outcome_of):
-    empty = replace(evaluated(), events=())
+    empty = replace(one, events=())
     assert outcome_of(empty).passed is None
     html = evaluate_page(header, [view(one=empty)], outcome_of(empty))
     assert "NOT ASSESSED" in html
@@ -186,16 +167,16 @@ def test_each_event_card_shows_its_outcome_and_reason(evaluation):
 
 
 def test_the_lowest_rmse_of_a_row_is_marked_and_a_better_baseline_is_named(
-    header, view, evaluated, outcome_of, score
+    view, evaluated, outcome_of, score
 ):
-    one = evaluated()
-    ahead = evaluate_page(header, [view(one=one)], outcome_of(one))
-    assert '<td class="best num">0.812</td>' in ahead
-    assert "lowest free-run RMSE of all models in N1." in ahead
-    behind = replace(one, scores={"N1_pct": score(arx_rmse=0.5)})
-    html = evaluate_page(header, [view(one=behind)], outcome_of(behind))
-    assert '<td class="best num">0.500</td>' in html
-    assert "in no channel; a baseline does better in N1." in html
+    for found, best, words in (
+        (score(), "0.812", "lowest free-run RMSE of all models in N1."),
+        (score(arx_rmse=0.5), "0.500", "in no channel; a baseline does better in N1."),
+    ):
+        one = replace(evaluated(), scores={"N1_pct": found})
+        (row,) = tables.scores([view(one=one)]).rows[1:]
+        assert [cell.text for cell in row if cell.mark == "best"] == [best]
+        assert words in " ".join(outcome_of(one).lines)
 
 
 def test_failed_events_are_shown_large_before_passed_ones(view):
@@ -220,32 +201,17 @@ def test_times_of_a_log_with_dates_are_elapsed_with_date_and_clock(header, view,
     assert seconds == ["1741907464"]  # for the script, once
 
 
-def test_a_log_without_events_or_residuals_or_audit_still_makes_a_page(view, sound_page):
+def test_a_log_without_events_or_residuals_or_audit_or_a_channel_still_makes_a_page(
+    view, sound_page
+):
     made = view()
-    bare = replace(
-        made, log=replace(made.log, audit=Audit()), events=[], residuals=[], pearson=None
-    )
+    log = made.log.with_channels({"N1_pct": np.full(900, np.nan)})  # masked throughout
+    bare = replace(made, log=replace(log, audit=Audit()), events=[], residuals=[], pearson=None)
     header = RunHeader(title="t", created="now")
     html = evaluate_page(header, [bare], Outcome(passed=None, headline="h"))
     assert "No event was found in this log." in html
     assert "Not computed." in html
     sound_page(html)
-
-
-def test_drawing_a_log_in_which_no_input_moves_leaks_no_warning(view):
-    made = view()
-    alone = replace(made, residuals=[replace(made.residuals[0], cross={})])
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        [drawn] = residual_tests(alone)
-    assert "autocorrelation" in drawn.svg
-
-
-def test_a_channel_that_is_masked_throughout_still_makes_a_page(header, view, sound_page):
-    made = view()
-    gone = made.log.with_channels({"N1_pct": np.full(900, np.nan)})
-    bare = replace(made, log=gone, events=[])
-    sound_page(evaluate_page(header, [bare], Outcome(passed=None, headline="h")))
 
 
 def test_the_prepare_page_shows_no_model_and_no_verdict(header, view):
@@ -280,23 +246,20 @@ def test_pictures_are_of_the_logs_with_most_to_show():
     assert most_to_show(logs, 9) == [0, 1, 2, 3, 4]
 
 
-def test_with_nine_inputs_the_legend_of_the_residuals_is_within_the_drawing(view):
+def test_the_legend_of_the_residuals_is_within_the_drawing_for_no_input_and_for_nine(view):
     made = view()
-    auto = made.residuals[0].auto
-    names = (
-        "TRA_deg", "ALT_ft", "Mach", "dT_C", "WOW", "Approach", "ECS", "NAI", "WAI",
-    )  # fmt: skip
+    names = ("TRA_deg", "ALT_ft", "Mach", "dT_C", "WOW", "Approach", "ECS", "NAI", "WAI")
     cross = made.residuals[0].cross["TRA_deg"]
-    many = replace(made.residuals[0], auto=auto, cross=dict.fromkeys(names, cross))
-    [drawn] = residual_tests(replace(made, residuals=[many]))
+    none, many = (replace(made.residuals[0], cross=dict.fromkeys(some, cross))
+                  for some in ((), names))  # fmt: skip
+    alone, drawn = residual_tests(replace(made, residuals=[none, many]))
+    assert "autocorrelation" in alone.svg
     box = re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', drawn.svg)
     assert box is not None
     assert all(f">{name.partition('_')[0]}</text>" in drawn.svg for name in names)
     heights = [float(y) for y in re.findall(r'<text[^>]* y="([-\d.]+)"', drawn.svg)]
-    assert min(heights) > 0.0
-    assert max(heights) < float(box[2])
-    dashes = re.findall(r"stroke-dasharray: [^;\"]+", drawn.svg)
-    assert dashes  # the seventh input has the colour of the first
+    assert 0.0 < min(heights) < max(heights) < float(box[2])
+    assert re.findall(r"stroke-dasharray: [^;\"]+", drawn.svg)  # the seventh has a used colour
 
 
 @pytest.mark.parametrize(
@@ -318,17 +281,12 @@ def test_many_logs_of_a_fold_are_counted_in_the_table_and_named_below(header, te
     assert f"tested on {named or shown}" in crossval_page(header, made)
 
 
-def test_crossval_shows_the_spread_and_marks_what_is_over_the_limit(header):
-    html = crossval_page(header, folds([1.0, 2.0, 6.0]))
-    assert '<td class="bad num">6.00</td>' in html
-    for figure in ("3.00", "2.65", "1.00"):  # mean, sample deviation, least
-        assert f'<td class="strong num">{figure}</td>' in html
-
-
-def test_a_fold_without_a_figure_shows_a_dash_and_is_left_out_of_the_spread(header):
-    html = crossval_page(header, folds([1.0, None, 3.0]))
-    assert '<td class=" num">–</td>' in html  # noqa: RUF001 - the dash of the page
-    assert '<td class="strong num">2.00</td>' in html
+def test_crossval_shows_the_spread_marks_what_is_over_the_limit_and_leaves_out_what_is_unknown():
+    *_, last, mean, deviation, least, _ = tables.folds(folds([1.0, 2.0, 6.0]), HOSTILE).rows
+    assert (last[-1].text, last[-1].mark) == ("6.00", "bad")
+    assert [row[-1].text for row in (mean, deviation, least)] == ["3.00", "2.65", "1.00"]
+    _, unknown, _, mean, *_ = tables.folds(folds([1.0, None, 3.0]), HOSTILE).rows
+    assert [unknown[-1].text, mean[-1].text] == ["\N{EN DASH}", "2.00"]
 
 
 def test_the_page_of_an_80_minute_log_at_32_hz_with_40_events_stays_small(header, view):
@@ -350,8 +308,7 @@ def test_the_page_of_an_80_minute_log_at_32_hz_with_40_events_stays_small(header
 
 
 def test_the_summary_picture_is_a_png(view):
-    made = view()
-    assert summary_figure(made, made.events[1]).startswith(b"\x89PNG\r\n")
+    assert summary_figure(view(), view().events[1]).startswith(b"\x89PNG\r\n")
 
 
 @pytest.mark.slow

@@ -61,15 +61,10 @@ def test_crossval_prints_spread_and_limit():
 @pytest.mark.parametrize(
     ("value", "text"),
     [
-        (0.0, "0"),
-        (0.012345, "0.0123"),
-        (1.0, "1.00"),
-        (-12.345, "-12.3"),
-        (1234.6, "1235"),
-        (float("nan"), "\N{EN DASH}"),
-        (float("inf"), "\N{EN DASH}"),
-        (None, "\N{EN DASH}"),
+        (0.0, "0"), (0.012345, "0.0123"), (1.0, "1.00"), (-12.345, "-12.3"), (1234.6, "1235"),
+        (0.9997, "1.00"), (1.0004, "1.00"), (0.09996, "0.100"), (99.96, "100"), (7.125, "7.12"),
+        *((value, "\N{EN DASH}") for value in (float("nan"), float("inf"), None)),
     ],
-)
-def test_numbers_have_three_digits_and_no_exponent(value, text):
+)  # fmt: skip
+def test_numbers_have_three_digits_after_rounding_and_no_exponent(value, text):
     assert number(value) == text
