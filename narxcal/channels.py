@@ -100,6 +100,7 @@ FIELD_NAMES: dict[str, tuple[str, ...]] = {
         "TRA_deg": "tra, tla, pla, throttle, lever, power lever, thrust lever, throttle lever, "
         "throttle resolver angle, throttle angle, throttle lever angle, thrust lever angle, "
         "power lever angle, throttle position, power lever position, thrust lever position, "
+        "throttle pos, power lever pos, thrust lever pos, lever position, lever pos, "
         "leistungshebel, schubhebel, gashebel, leistungshebelstellung, schubhebelstellung, "
         "manette, manette des gaz, manette puissance, palanca, palanca gases, palanca potencia",
         "ALT_ft": "alt, altitude, hp, palt, pressure altitude, altitude press, altitude pressure, "
@@ -107,7 +108,7 @@ FIELD_NAMES: dict[str, tuple[str, ...]] = {
         "pressure alt, alt b, alt ind, indicated altitude, "
         "hoehe, hohe, druckhoehe, druckhohe, flughoehe, flughohe, altitude pression, altitud, "
         "altitud presion",
-        "Mach": "mach, mn, mach no, mach number",
+        "Mach": "mach, mn, mach no, mach number, mach nr, machzahl, nombre mach, numero mach",
         "dT_C": "disa, delta isa, isa dev, isa deviation, dtisa",
         "WOW": "wow, weight on wheels, air ground, gnd air, squat, squat switch, on ground, "
         "on gnd, ground, ac on gnd, ac on ground, ground air",
@@ -128,7 +129,7 @@ FIELD_NAMES: dict[str, tuple[str, ...]] = {
         "turbine gas temperature, turbine outlet temperature, turbine exit, turbine exit temp, "
         "jet pipe temperature, exhaust temp, exhaust temperature, turbine inlet temperature, "
         "abgastemperatur, abgastemp, turbinentemperatur, temperature echappement, temperature "
-        "gaz echappement, temperatura escape, temperatura gases escape, temperatura gases",
+        "gaz echappement, temperature tuyere, temperatura escape, temperatura gases escape, temperatura gases",
         "FF_kgph": "ff, wf, fmf, wfe, fflow, fuel flow, fuel mass flow, fuel flow rate, fuel rate, "
         "kraftstofffluss, kraftstoffdurchfluss, kraftstoffdurchsatz, kraftstoffmassenstrom, "
         "kraftstoffstrom, brennstoffdurchsatz, brennstoffstrom, debit carburant, debit "
@@ -140,6 +141,7 @@ FIELD_NAMES: dict[str, tuple[str, ...]] = {
         "outside air temperature, ambient temp, ambient temperature, air temp, t cell, t ambient, "
         "cell temp, cell temperature, test cell temp, test cell temperature, "
         "aussentemperatur, ausentemperatur, lufttemperatur, umgebungstemperatur, "
+        "statische temperatur, temperature statique, temperatura estatica, "
         "temperature exterieure, temperature ambiante, temperatura exterior, temperatura ambiente",
         "TAT_C": "tat, rat, total air temp, total air temperature, ram air temperature, "
         "gesamttemperatur, temperature totale, temperatura total",

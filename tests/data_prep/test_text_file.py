@@ -295,6 +295,8 @@ def test_a_workbook_is_read_as_its_csv_twin(tmp_path):
     openpyxl = pytest.importorskip("openpyxl")
     pytest.importorskip("python_calamine")
     book = openpyxl.Workbook()
+    book.active.append(("Aircraft", "N123"))
+    book.active = book.create_sheet("samples")
     twin = []
     begin = dt.datetime(2026, 3, 1, 11, 59, 55)  # noqa: DTZ001 - a cell has no zone
     for cells in (("t", "fan", "itt"), ("", "%", "deg F")):
