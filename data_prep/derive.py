@@ -8,7 +8,7 @@ own units (`units_that_agree`). Channels are `(rows,)`, in canonical units unles
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import islice, product
+from itertools import product
 from typing import Literal
 
 import numpy as np
@@ -89,8 +89,9 @@ def derive(
     added: dict[str, FloatArray] = {}
     if "Mach" not in channels:
         with np.errstate(divide="ignore", invalid="ignore"):  # of a failed temperature probe
-            ways = _machs_of_speed(channels, config.recovery)
-            added |= {"Mach": mach for mach in islice(ways, 1)}
+            mach = next(_machs_of_speed(channels, config.recovery), None)
+        if mach is not None:
+            added["Mach"] = mach
     known = {**channels, **added}
     if "dT_C" not in channels:
         source = config.dT_C or _temperature_source(known)

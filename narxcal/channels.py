@@ -129,7 +129,8 @@ FIELD_NAMES: dict[str, tuple[str, ...]] = {
         "turbine gas temperature, turbine outlet temperature, turbine exit, turbine exit temp, "
         "jet pipe temperature, exhaust temp, exhaust temperature, turbine inlet temperature, "
         "abgastemperatur, abgastemp, turbinentemperatur, temperature echappement, temperature "
-        "gaz echappement, temperature tuyere, temperatura escape, temperatura gases escape, temperatura gases",
+        "gaz echappement, temperature tuyere, temperatura escape, temperatura gases escape, "
+        "temperatura gases",
         "FF_kgph": "ff, wf, fmf, wfe, fflow, fuel flow, fuel mass flow, fuel flow rate, fuel rate, "
         "kraftstofffluss, kraftstoffdurchfluss, kraftstoffdurchsatz, kraftstoffmassenstrom, "
         "kraftstoffstrom, brennstoffdurchsatz, brennstoffstrom, debit carburant, debit "

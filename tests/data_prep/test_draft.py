@@ -215,7 +215,8 @@ def test_the_header_is_the_row_that_the_rows_below_agree_with(tmp_path):
         ("D\xe9bit de carburant [kg/h]", "FF_kgph"), ("Caudal de combustible", "FF_kgph"),
         ("Au\xdfentemperatur", "SAT_C"), ("Velocidad indicada", "CAS_kt"),
         ("Machzahl", "Mach"), ("Nombre de Mach", "Mach"), ("throttle_pos", "TRA_deg"),
-        ("Temp\xe9rature statique (\xb0C)", "SAT_C"), ("Drehzahl N2", "N2_pct"), ("rec/eng1/N1", "N1_pct"), ("Fuel/Used", None),
+        ("Temp\xe9rature statique (\xb0C)", "SAT_C"), ("Drehzahl N2", "N2_pct"),
+        ("rec/eng1/N1", "N1_pct"), ("Fuel/Used", None),
     ],
 )  # fmt: skip
 def test_names_of_other_languages_and_within_structs(name, channel):
