@@ -371,9 +371,11 @@ class _Drafting:
         if column == self.table.clock or (self.table.head.units and not self._unit(column)):
             return Line("time_s", {"column": column}, "clock times, dates or rates")
         said = self._unit(column)
-        if said and fits(said, "time_s"):
-            return Line("time_s", {"column": column, "unit": named_unit(said)}, f"says '{said}'")
         possible = [unit for unit in _TIME_UNITS if self._usual_time(column, unit)]
+        # A name alone says little: the seconds of a `SecOfDay` are no days.
+        doubtful = possible and said == self.readings[column].unit
+        if fits(said, "time_s") and not (doubtful and named_unit(said) not in possible):
+            return Line("time_s", {"column": column, "unit": named_unit(said)}, f"says '{said}'")
         if possible == ["s"]:
             why = "no unit is given; any other but s gives no recorder's rate"
             return Line("time_s", {"column": column, "unit": "s"}, why)

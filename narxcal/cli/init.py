@@ -21,6 +21,7 @@ from data_prep.derive import DeriveConfig, WeightOnWheels, derive
 from data_prep.drafting.draft import Draft, draft
 from data_prep.equilibrium import BELOW_IDLE, in_equilibrium
 from data_prep.log import Log
+from data_prep.prepare import crowded
 from data_prep.ranking import other_driver
 from data_prep.reading import read_logs
 from eval.report.figures import recorded_figure
@@ -155,6 +156,9 @@ class _Text:
                 for key, value in self.columns.assumed.items()
             ),
         ]
+        if any(map(crowded, self.logs)):
+            why = "rows share their time stamps: which columns tell engines apart? [] for none"
+            lines.append(f'instances = ["{OPEN}"]  # {why}')
         if self.columns.engines:
             lines += ["", "[logs.engines]  # by the columns that differ in this alone"]
             lines += [f"{name} = {in_toml(mark)}" for name, mark in self.columns.engines.items()]

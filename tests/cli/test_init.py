@@ -107,6 +107,19 @@ def test_logs_with_true_airspeed_and_total_temperature_give_what_prepare_takes(n
     assert narxcal("prepare", out, "--out", tmp_path / "prepared").code == 0
 
 
+def test_rows_that_share_stamps_may_be_of_several_engines_which_is_asked(narxcal, tmp_path):
+    path, out = tmp_path / "both.csv", tmp_path / "mine.toml"
+    both = np.column_stack([TIME_S, 0 * TIME_S, SPEED_PCT / 2.0, SPEED_PCT])
+    other = both + np.array([0.0, 1.0, 0.0, -2.0])
+    table = np.stack([both, other], axis=1).reshape(-1, 4)
+    np.savetxt(path, table, "%.6g", ",", header="t [s],Engine,TLA [deg],N1 [%]", comments="")
+    done = narxcal("init", path, "--out", out)
+    assert 'To be filled in: instances = ["?"]  # rows share their time stamps: ' in done.out
+    out.write_text(out.read_text("utf-8").replace('["?"]', '["Engine"]'), "utf-8")
+    done = narxcal("prepare", out, "--out", tmp_path / "prepared", "--json")
+    assert [each["log"] for each in json.loads(done.out)["logs"]] == ["both.csv:0", "both.csv:1"]
+
+
 def test_a_configuration_that_is_there_is_not_replaced(logs, narxcal, tmp_path):
     (tmp_path / "mine.toml").write_text("mine", "utf-8")
     done = narxcal("init", *logs, "--out", tmp_path / "mine.toml")

@@ -161,6 +161,11 @@ def test_a_switch_without_airspeed_is_taken_by_its_name_or_asked_for(tmp_path):
         assert lines(draft([path]))["WOW"] == wanted
 
 
+def test_the_seconds_of_a_day_are_no_days(tmp_path):
+    found = draft([csv(tmp_path, "SecOfDay,N1,EGT_C", 7e4 + TIME_S, SPEED_PCT, 8 * SPEED_PCT)])
+    assert lines(found)["time_s"] == {"column": "SecOfDay", "unit": "s"}
+
+
 def test_a_time_that_may_be_in_ms_is_asked_for_and_read_so(tmp_path):
     found = draft([csv(tmp_path, "t,N1,EGT_C", 1000.0 * TIME_S, SPEED_PCT, 8 * SPEED_PCT)])
     assert lines(found)["time_s"] == {"column": "t", "unit": OPEN}
