@@ -24,7 +24,7 @@ from narxcal.atmosphere import (
     mach_of_cas,
     static_temperature,
 )
-from narxcal.support.arrays import FloatArray, sample_and_hold
+from narxcal.support.arrays import FloatArray, bridge_gaps, sample_and_hold
 from narxcal.support.errors import ConfigError
 from narxcal.support.settings import Section
 
@@ -197,5 +197,4 @@ def _mach_of_tas(tas_kt: FloatArray, temperature_c: FloatArray) -> FloatArray:
 
 def filled(values: FloatArray, rows: FloatArray) -> FloatArray:
     """Interpolate a column at fractional `rows`, over its blanks."""
-    known = np.flatnonzero(np.isfinite(values))
-    return np.interp(rows, known, values[known]) if len(known) else np.full(len(rows), np.nan)
+    return np.interp(rows, np.arange(len(values)), bridge_gaps(values))
