@@ -276,12 +276,6 @@ def test_quoted_cells_may_hold_ends_of_lines(tmp_path, name):
     np.testing.assert_allclose(log["EGT_C"], (468.0 + np.arange(40)) / 1.8)
 
 
-def test_a_quote_that_is_never_closed_is_named(tmp_path):
-    rows = ROWS.replace("1.0,90,510", '1.0,90,"510')
-    message = error_of(write(tmp_path, f"t,fan,itt\n{rows}"), config())
-    assert message.endswith("Look for a quote that is never closed")
-
-
 def test_lines_of_comments_are_skipped_wherever_they_stand(tmp_path):
     rows = ROWS.replace("1.0,90", "# paused, 1\n  # and resumed\n1.0,90")
     (log,) = read_logs(write(tmp_path, f"t,fan,itt\n{rows}# the end"), config())
