@@ -127,11 +127,10 @@ class Identity:
 
     @classmethod
     def from_json(cls, stored: Mapping[str, Any]) -> Self:
-        """Rebuild from `to_json`, without movements the hash; raises `ModelError` for another."""
+        """Rebuild from `to_json`; raises `ModelError` for anything else."""
         try:
             names = tuple(str(name) for name in stored["channels"])
-            packed = base64.b64decode(stored["moves"], validate=True)
-            table = zlib.decompress(packed) if packed else b""
+            table = zlib.decompress(base64.b64decode(stored["moves"], validate=True))
             rows = np.frombuffer(table, dtype=np.int8).reshape(-1, max(1, len(names)))
             return cls(str(stored["digest"]), names, float(stored["span_s"]), rows / _PARTS)
         except (KeyError, TypeError, ValueError, zlib.error) as error:

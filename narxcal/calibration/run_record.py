@@ -76,10 +76,7 @@ class FitRecord(_Part):
 
 
 class IdentityRecord(_Part):
-    """What a log that the model learned from is recognised by (`data_prep.cleaning.identity`).
-
-    Older versions stored no `moves`: the digest is left.
-    """
+    """What a log that the model learned from is recognised by (`data_prep.cleaning.identity`)."""
 
     log: str
     file: str
@@ -88,8 +85,8 @@ class IdentityRecord(_Part):
     role: Literal["train", "validate"]
     digest: str
     channels: tuple[str, ...]
-    span_s: float = 0.5
-    moves: str = ""
+    span_s: float
+    moves: str
 
 
 class HeldOutRecord(_Part):
