@@ -24,7 +24,7 @@ from narxcal.atmosphere import (
     mach_of_cas,
     static_temperature,
 )
-from narxcal.support.arrays import FloatArray, sample_and_hold
+from narxcal.support.arrays import FloatArray, bridge_gaps, sample_and_hold
 from narxcal.support.errors import ConfigError
 from narxcal.support.settings import Section
 
@@ -51,8 +51,8 @@ class WeightOnWheels(Section):
 class DeriveConfig(Section):
     """TOML table `[logs.derive]`; a channel the file already has is never overwritten.
 
-    Mach is derived whenever it is missing and CAS_kt and ALT_ft, or else TAS_kt and SAT_C, are
-    there. `dT_C` names the temperature it comes from; left out, it is derived whenever it is
+    Mach is derived whenever it is missing and CAS_kt and ALT_ft, or else TAS_kt and SAT_C or TAT_C,
+    are there. `dT_C` names the temperature it comes from; left out, it is derived whenever it is
     missing and SAT_C, or else TAT_C and Mach, are there. `recovery` is that of the TAT probe.
     """
 
@@ -87,8 +87,11 @@ def derive(
     Raises `ConfigError` where a configured derivation lacks a channel.
     """
     added: dict[str, FloatArray] = {}
-    if "Mach" not in channels and (mach := _mach(channels)) is not None:
-        added["Mach"] = mach
+    if "Mach" not in channels:
+        with np.errstate(divide="ignore", invalid="ignore"):  # of a failed temperature probe
+            mach = next(_machs_of_speed(channels, config.recovery), None)
+        if mach is not None:
+            added["Mach"] = mach
     known = {**channels, **added}
     if "dT_C" not in channels:
         source = config.dT_C or _temperature_source(known)
@@ -100,21 +103,12 @@ def derive(
                 static = static_temperature(static, known["Mach"], config.recovery)
             added["dT_C"] = static + KELVIN - isa(known["ALT_ft"])[0]
     if "WOW" not in channels and config.WOW is not None:
-        name, speeds = config.WOW.airspeed, dict(channels)
-        if name == "CAS_kt" and name not in channels and {"Mach", "ALT_ft"} <= channels.keys():
-            speeds[name] = cas_of_mach(channels["Mach"], channels["ALT_ft"])
-        _require("WOW", (name,), speeds, file)
-        added["WOW"] = weight_on_wheels(speeds[name], config.WOW)
+        name = config.WOW.airspeed
+        if name == "CAS_kt" and name not in known and {"Mach", "ALT_ft"} <= known.keys():
+            known[name] = cas_of_mach(known["Mach"], known["ALT_ft"])
+        _require("WOW", (name,), known, file)
+        added["WOW"] = weight_on_wheels(known[name], config.WOW)
     return added
-
-
-def _mach(channels: Mapping[str, FloatArray]) -> FloatArray | None:
-    if {"CAS_kt", "ALT_ft"} <= channels.keys():
-        return mach_of_cas(channels["CAS_kt"], channels["ALT_ft"])
-    if {"TAS_kt", "SAT_C"} <= channels.keys():
-        with np.errstate(divide="ignore", invalid="ignore"):  # of a failed temperature probe
-            return _mach_of_tas(channels["TAS_kt"], channels["SAT_C"])
-    return None
 
 
 def _temperature_source(channels: Mapping[str, FloatArray]) -> str | None:
@@ -181,16 +175,20 @@ def _agree(air: Mapping[str, FloatArray]) -> bool:
 
 def _machs(air: Mapping[str, FloatArray]) -> Iterator[FloatArray]:
     """The Mach number `(rows,)` in each way in which air data give it."""
-    if {"CAS_kt", "ALT_ft"} <= air.keys():
-        yield mach_of_cas(air["CAS_kt"], air["ALT_ft"])
+    yield from _machs_of_speed(air)
     if {"SAT_C", "TAT_C"} <= air.keys():
         rise = (air["TAT_C"] + KELVIN) / (air["SAT_C"] + KELVIN) - 1.0
         yield np.sqrt(5.0 * np.maximum(rise, 0.0))
+
+
+def _machs_of_speed(air: Mapping[str, FloatArray], recovery: float = 1.0) -> Iterator[FloatArray]:
+    if {"CAS_kt", "ALT_ft"} <= air.keys():
+        yield mach_of_cas(air["CAS_kt"], air["ALT_ft"])
     if {"TAS_kt", "SAT_C"} <= air.keys():
         yield _mach_of_tas(air["TAS_kt"], air["SAT_C"])
     elif {"TAS_kt", "TAT_C"} <= air.keys():
         mach = _mach_of_tas(air["TAS_kt"], air["TAT_C"])
-        yield mach / np.sqrt(1.0 - 0.2 * mach**2)
+        yield mach / np.sqrt(1.0 - 0.2 * recovery * mach**2)
 
 
 def _mach_of_tas(tas_kt: FloatArray, temperature_c: FloatArray) -> FloatArray:
@@ -199,5 +197,4 @@ def _mach_of_tas(tas_kt: FloatArray, temperature_c: FloatArray) -> FloatArray:
 
 def filled(values: FloatArray, rows: FloatArray) -> FloatArray:
     """Interpolate a column at fractional `rows`, over its blanks."""
-    known = np.flatnonzero(np.isfinite(values))
-    return np.interp(rows, known, values[known]) if len(known) else np.full(len(rows), np.nan)
+    return np.interp(rows, np.arange(len(values)), bridge_gaps(values))

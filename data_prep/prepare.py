@@ -96,7 +96,7 @@ class Prepared:
     @cached_property
     def warnings(self) -> tuple[LogWarning, ...]:
         found = {
-            "crowded": _crowded(self.log),
+            "crowded": crowded(self.log),
             "fragment": _fragments(self.log),
             "unit": _never_runs(self.log),
             "masked": _all_masked(self.log),
@@ -167,7 +167,7 @@ def _lines(group: Sequence[LogWarning]) -> Iterator[str]:
         yield f"{group[0].log} and, likewise, {len(group) - 1} more: {group[0].text}"
 
 
-def _crowded(log: Log) -> str:
+def crowded(log: Log) -> str:
     """Warn of a log that lost many rows to equal stamps."""
     lost: dict[str, int] = {}
     for entry in log.audit.entries:

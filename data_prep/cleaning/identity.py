@@ -1,22 +1,23 @@
-"""Whether two logs are one flight, whatever their names, clocks, rates and calibrations.
+"""Whether two logs are one flight, whatever their names, clocks, rates, filters and calibrations.
 
 Two flights of one schedule share every movement that somebody commanded, and no other: the noise of
-sensors, the air that a flight met, a hand on the lever. Of a log, as recorded, these small
-movements of each channel are kept: fourth differences of means over half a second (half a sample
-where that is longer), in standard deviations of their noise, without those beyond four. An offset
-or a slow drift is not in them, nor is a gain. A channel counts where it has noise and where they do
-not follow each other as in a decaying response; a lever that steps by a programme does not.
+sensors, the air that a flight met, a hand on the lever. Of a log these small movements of each
+channel are kept: fourth differences of means over half a second (half a sample where that is
+longer), without those beyond four of their usual size and what follows these, over their
+root mean square of four seconds. An offset or a slow drift is not in them, nor is a gain or what a
+filter leaves of noise. A channel counts where it keeps moving and where the movements do not follow
+each other as in a decaying response; a lever that steps by a programme does not.
 
 For the movements a, b of two logs, with b shifted by tau and summed over time and channels,
 
-    z(tau) = sum a b / sqrt(sum a^2 b^2)
+    r(tau) = sum a b / sqrt(sum a^2 sum b^2),    z(tau) = sum a b / sqrt(sum a^2 b^2)
 
-is a standard normal variable of two flights, widened by the movements' correlation in time, which
-the spread over all tau shows. They are one flight where z is beyond seven deviations of that:
-of whole logs, or of two minutes of one stretched by up to 2 %, and correlated by 0.35 in what
-they have in common. Of logs with differently named engines only the outputs are compared: engines
-of one flight share its air. What has no such movement, as a simulation
-without noise, is known by its hash alone.
+are their correlation and a standard normal variable of two flights, widened by the movements'
+correlation in time, which the spread over all tau shows. They are one flight where r z is beyond 4
+deviations of that, by chance once in 1e9 tau: of whole logs, or of two minutes of one stretched by
+up to 2 %. Of logs with differently named engines only the outputs are compared: engines of one
+flight share its air. What has no such movement, as a simulation without noise in still air, is
+known by its hash alone: its copy and a repetition of its programme are alike.
 """
 
 from __future__ import annotations
@@ -32,30 +33,34 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
 
 import numpy as np
 from scipy import fft
+from scipy.interpolate import make_interp_spline
 
 from narxcal.channels import CHANNELS, described
-from narxcal.support.arrays import FloatArray, IntArray, bridge_gaps, noise_level
+from narxcal.support.arrays import FloatArray, IntArray, bridge_gaps
 from narxcal.support.errors import DataError, ModelError
 from narxcal.support.moments import stamp
 
 if TYPE_CHECKING:
     from data_prep.log import Log, Source
 
-_SURE: Final = 7.0  # deviations: 1e-12 by chance, of 1e5 shifts in 1e4 pairs of logs
+# Of r z: flights of slams every twelve seconds reach 3.1, copies smoothed over a second 4.2.
+_SURE: Final = 4.0
 _LARGEST: Final = 4.0  # standard deviations of a small movement
-# Least correlation: what remains of commanded movements, of many slams, is 0.2.
-_ALIKE: Final = 0.35
-_PARTS: Final = 8.0  # of a standard deviation that are stored
+_ALIKE: Final = 0.3  # least r of a shift that sums over channels suggest
+_PARTS: Final = 8.0  # of a movement of usual size that are stored
 # Largest correlation of neighbours: -0.8 of white noise, 0.17 of samples joined by lines at half
 # their interval, beyond 0.5 of a response that decays over more than a second.
 _FOLLOW: Final = 0.3
+_MOVING: Final = 0.3  # of its spans, a channel that keeps moving
 _RESOLUTION: Final = 1e-7  # of the largest value: smaller movements are the rounding of a computer
 _SPAN_S: Final = 0.5
 # A response of 1.5 s falls to 1/150 in four differences, while noise grows by sqrt(70).
 _ORDER: Final = 4
 _AFTER: Final = 4  # spans after a large movement
-_WINDOW, _WINDOWS, _SHORTEST = 256, 4, 40  # rows of a stretch, stretches of a log, rows in common
+_AROUND: Final = 9  # spans over which the size of movements is found
+_WINDOW, _WINDOWS, _SHORTEST = 256, 4, 80  # rows of a stretch, stretches of a log, rows in common
 _LIKELY: Final = 3  # shifts that sums over channels suggest
+_MEDIAN_OF_NORMAL: Final = 0.6745  # absolute deviation
 _STRETCHES: Final = (1.0, 0.995, 1.005, 0.99, 1.01, 0.985, 1.015, 0.98, 1.02)
 
 
@@ -102,7 +107,7 @@ class Identity:
             moves = recorded.moves(span_s, late)
             common = [name for name in names if name in moves]
             if not common:
-                return None
+                continue
             own = self.moves[:, [self.channels.index(name) for name in common]]
             other = np.column_stack([moves[name] for name in common])
             shift = _shift(own, other, whole=stretch == 1.0)
@@ -122,11 +127,10 @@ class Identity:
 
     @classmethod
     def from_json(cls, stored: Mapping[str, Any]) -> Self:
-        """Rebuild from `to_json`, without movements the hash; raises `ModelError` for another."""
+        """Rebuild from `to_json`; raises `ModelError` for anything else."""
         try:
             names = tuple(str(name) for name in stored["channels"])
-            packed = base64.b64decode(stored["moves"], validate=True)
-            table = zlib.decompress(packed) if packed else b""
+            table = zlib.decompress(base64.b64decode(stored["moves"], validate=True))
             rows = np.frombuffer(table, dtype=np.int8).reshape(-1, max(1, len(names)))
             return cls(str(stored["digest"]), names, float(stored["span_s"]), rows / _PARTS)
         except (KeyError, TypeError, ValueError, zlib.error) as error:
@@ -143,16 +147,14 @@ class _Recorded:
 
     def __init__(self, time_s: FloatArray, channels: Mapping[str, FloatArray]) -> None:
         self.time_s = time_s
-        self._interval_s = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 1.0
-        self._channels: dict[str, tuple[FloatArray, FloatArray, float]] = {}
-        for name in _ordered(channels):
+        self._channels: dict[str, tuple[Any, FloatArray, float]] = {}
+        for name in _ordered(channels) if len(time_s) > 1 else ():
             known = bridge_gaps(channels[name])
-            noise = noise_level(known)
-            counts = described(name).role not in {"time", "switch"} and np.isfinite(known).all()
-            if counts and noise > _RESOLUTION * float(np.abs(known).max()):
-                steps = 0.5 * np.diff(time_s) * (known[1:] + known[:-1])
+            if described(name).role not in {"time", "switch"} and np.isfinite(known).all():
+                area = make_interp_spline(time_s - time_s[0], known, k=1).antiderivative()
                 lost = (~np.isfinite(channels[name])).astype(np.float64)
-                self._channels[name] = np.concatenate([[0.0], np.cumsum(steps)]), lost, noise
+                least = _RESOLUTION * float(np.abs(known).max()) + 1e-30
+                self._channels[name] = area, lost, least
         self._known: dict[tuple[float, float], dict[str, FloatArray]] = {}
 
     def moves(self, span_s: float, late: float) -> Mapping[str, FloatArray]:
@@ -167,17 +169,18 @@ class _Recorded:
 
     def _small(self, name: str, middles: FloatArray, span_s: float) -> FloatArray | None:
         """Small movements of one channel; None where they are not those of noise."""
-        area, gaps, noise = self._channels[name]
+        area, gaps, least = self._channels[name]
         ends = np.concatenate([middles - 0.5 * span_s, [middles[-1] + 0.5 * span_s]])
-        bends = np.diff(np.interp(ends, self.time_s, area), 1 + _ORDER) / span_s
-        lost = np.interp(middles[2:-2], self.time_s, gaps) > 0.0
-        in_span = max(1.0, span_s / self._interval_s)
-        size = noise * math.sqrt(math.comb(2 * _ORDER, _ORDER) / in_span)
+        bends = np.diff(area(ends - self.time_s[0]), 1 + _ORDER) / span_s
+        bends[np.interp(middles[2:-2], self.time_s, gaps) > 0.0] = 0.0
+        moving = np.abs(bends[np.abs(bends) > least])
+        if len(moving) < _MOVING * len(bends):
+            return None
         # What follows a large movement decays through the small ones.
-        large = np.convolve(np.abs(bends) > _LARGEST * size, np.ones(1 + _AFTER))[: len(bends)]
-        kept = np.where((large > 0.5) | lost, 0.0, bends)
-        spread = math.sqrt(float(np.mean(kept[kept != 0.0] ** 2))) if kept.any() else 1.0
-        kept = np.clip(kept / spread, -15.0, 15.0)  # a byte of eighths
+        large = np.abs(bends) > _LARGEST * float(np.median(moving)) / _MEDIAN_OF_NORMAL
+        kept = np.where(np.convolve(large, np.ones(1 + _AFTER))[: len(bends)] > 0.5, 0.0, bends)
+        size = np.sqrt(np.convolve(kept**2, np.full(_AROUND, 1.0 / _AROUND), mode="same"))
+        kept = np.where(size > least, kept / np.maximum(size, least), 0.0)
         follow = float(kept[1:] @ kept[:-1])
         return kept if kept.any() and follow <= _FOLLOW * float(kept @ kept) else None
 
@@ -210,12 +213,11 @@ def _peak(long: FloatArray, short: FloatArray) -> int | None:
     if not any(_alike(long, short, shift) >= _ALIKE for shift in likely):
         return None
     shifts, z = _scores(long, short)
-    best = int(np.argmax(z))
-    if not z[best] > _SURE:
+    if not z.any():
         return None
-    spread = max(1.0, float(np.median(np.abs(z[z != 0.0]))) / 0.6745)
-    shift = int(shifts[best])
-    return shift if z[best] > _SURE * spread and _alike(long, short, shift) >= _ALIKE else None
+    best, spread = int(np.argmax(z)), float(np.median(np.abs(z[z != 0.0]))) / _MEDIAN_OF_NORMAL
+    shift, spread = int(shifts[best]), max(1.0, spread)
+    return shift if z[best] * _alike(long, short, shift) > _SURE * spread else None
 
 
 def _scores(long: FloatArray, short: FloatArray) -> tuple[IntArray, FloatArray]:
@@ -250,7 +252,7 @@ def _overlap(own: FloatArray, other: FloatArray, shift: int, middles: FloatArray
     products[inside] = np.sum(own[rows[inside]] * other[inside], axis=1)
     starts = np.arange(0, len(products), _SHORTEST)
     sums = np.add.reduceat(products, starts)
-    alike = starts[sums > 0.2 * sums.max()]
+    alike = starts[sums > 0.4 * sums.max()]
     first, last = int(alike[0]), min(len(other), int(alike[-1]) + _SHORTEST) + 3
     share = (last - first + 1.0) / len(middles)
     return Overlap(min(1.0, share), float(middles[first]), float(middles[last]))

@@ -68,13 +68,13 @@ _Keys = dict[str, str | float | bool]
 class Line:
     """One channel of [logs.columns]: its keys, and why they are so.
 
-    `assumed` is the value of an open scale with which the logs are looked at.
+    `assumed` is the value of an open key with which the logs are looked at.
     """
 
     channel: str
     keys: _Keys
     why: str
-    assumed: float = 1.0
+    assumed: float | str = ""
 
     def __str__(self) -> str:
         keys = ", ".join(f"{key} = {in_toml(value)}" for key, value in self.keys.items())
@@ -104,15 +104,12 @@ class Draft:
         """
         columns = {}
         for line in (*self.lines, *self.others):
-            known = {key: value for key, value in line.keys.items() if value != OPEN}
-            if "column" not in known:
-                continue
-            for key in ("scale", "density_kgpl"):
-                if line.keys.get(key) == OPEN:
-                    known[key] = line.assumed
-            if line.keys.get("unit") == OPEN:
-                known["unit"] = described(line.channel).unit
-            columns[line.channel] = known
+            if line.keys["column"] != OPEN:
+                usual = {"unit": described(line.channel).unit, "scale": 1.0}
+                columns[line.channel] = {
+                    key: (line.assumed or usual[key]) if value == OPEN else value
+                    for key, value in line.keys.items()
+                }
         placed = any(ENGINE in str(each["column"]) for each in columns.values())
         tables = {
             "engines": dict(self.engines) if placed else {},
@@ -364,9 +361,11 @@ class _Drafting:
         if column == self.table.clock or (self.table.head.units and not self._unit(column)):
             return Line("time_s", {"column": column}, "clock times, dates or rates")
         said = self._unit(column)
-        if said and fits(said, "time_s"):
-            return Line("time_s", {"column": column, "unit": named_unit(said)}, f"says '{said}'")
         possible = [unit for unit in _TIME_UNITS if self._usual_time(column, unit)]
+        # A name alone says little: the seconds of a `SecOfDay` are no days.
+        doubtful = possible and said == self.readings[column].unit
+        if fits(said, "time_s") and not (doubtful and named_unit(said) not in possible):
+            return Line("time_s", {"column": column, "unit": named_unit(said)}, f"says '{said}'")
         if possible == ["s"]:
             why = "no unit is given; any other but s gives no recorder's rate"
             return Line("time_s", {"column": column, "unit": "s"}, why)
@@ -374,7 +373,8 @@ class _Drafting:
             f"in which unit? Rows are {self._own_interval(column):.4g} apart. One that is none of "
             "s, ms, min: scale instead, as 0.125 for eighths of a second"
         )
-        return Line("time_s", {"column": column, "unit": OPEN}, why)
+        assumed = possible[0] if len(possible) == 1 else ""
+        return Line("time_s", {"column": column, "unit": OPEN}, why, assumed)
 
     def _usual_time(self, column: str, unit: str) -> bool:
         to_s = find_unit(unit, "time_s").scale

@@ -65,14 +65,11 @@ def resample(
       line from before ends: two rows at one stamp are a step, not a ramp that begins too early.
     """
     valid = np.abs(values) < LARGEST
-    absurd = int((~valid & ~np.isnan(values)).sum())
     stamps, given = grid.steps(time[valid]), values[valid]
-    steps, values, repeated = _last_of_equal(stamps, given)
-    ends = given[np.append(True, np.diff(stamps) > 0.0)[: len(given)]]
-    entries = [
-        AuditEntry(name, "dropped", "not finite", absurd),
-        AuditEntry(name, "dropped", "duplicate time stamp", repeated),
-    ]
+    rises = np.diff(stamps) > 0.0
+    steps, values = (each[np.append(rises, True)[: len(each)]] for each in (stamps, given))
+    ends = given[np.append(True, rises)[: len(given)]]
+    entries = []
     at = np.arange(grid.samples, dtype=np.float64)
     if not len(steps):
         result = np.full(grid.samples, np.nan)
@@ -99,13 +96,6 @@ def interpolated(time: FloatArray, values: FloatArray, grid: Grid) -> BoolArray:
     own = np.floor(steps + 0.5).astype(np.intp)
     flags[own[(own >= 0) & (own < grid.samples)]] = False
     return flags
-
-
-def _last_of_equal(steps: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray, int]:
-    last = np.append(np.diff(steps) > 0.0, True)[: len(steps)]
-    if last.all():
-        return steps, values, 0
-    return steps[last], values[last], int((~last).sum())
 
 
 def _bridged(
@@ -182,7 +172,6 @@ def _times(flags: BoolArray, grid: Grid) -> tuple[tuple[float, float], ...]:
 
 
 _Key = tuple[str, "Action", str]
-_ROWS = ("dropped", "duplicate time stamp"), ("dropped", "not finite")  # in blocks that overlap
 
 
 class StreamAudit:
@@ -201,11 +190,9 @@ class StreamAudit:
         self._samples[key] = self._samples.get(key, 0) + samples
 
     def add(self, entries: Iterable[AuditEntry], interval_s: float) -> None:
-        """Add entries about samples `interval_s` apart; those about rows are counted elsewhere."""
+        """Add entries about samples `interval_s` apart."""
         self._interval_s = interval_s
         for entry in entries:
-            if (entry.action, entry.reason) in _ROWS:
-                continue
             self.count(entry.channel, entry.action, entry.reason, entry.samples)
             key = entry.channel, entry.action, entry.reason
             spans = self._spans.setdefault(key, [])

@@ -57,7 +57,6 @@ _BOMS = (
 # What no text in a code page of one byte holds, and other files begin with.
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")
 _GROUPED = re.compile(r'"?\s*[+-]?[1-9]\d{0,2},\d{3}\s*"?')
-_QUOTED = re.compile(r'"[^"]*"')
 COMMA_NUMBER = re.compile(r'"?\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*"?')
 _POINT_NUMBER = re.compile(r'"?\s*[+-]?\d*\.\d+([eE][+-]?\d+)?\s*"?')
 
@@ -111,14 +110,8 @@ def read_line(text: TextIO, *, blank: bool = True) -> str:
     return line
 
 
-def first_lines(text: TextIO, count: int) -> list[str]:
-    """Read up to `count` lines and the lines above them, each with its end."""
-    lines = (read_row(text) for _ in range(count + _LINES_ABOVE))
-    return [line for line in lines if line]
-
-
-def header_at(lines: Sequence[str], comment: str, time: str) -> tuple[int, int] | None:
-    """Find the header and count the lines with content above it; None without content.
+def header_at(lines: Sequence[str], comment: str, time: str) -> tuple[int, str]:
+    """Find the header and what delimits it; raises `DataError` without content.
 
     It has as many cells as the rows below, of which a good part are numbers: a recorder may put its
     serial number and the like first. Of several such lines it is the first that has a cell `time`,
@@ -126,9 +119,9 @@ def header_at(lines: Sequence[str], comment: str, time: str) -> tuple[int, int] 
     """
     filled = [k for k, line in enumerate(lines) if has_content(line, comment)]
     if not filled:
-        return None
+        raise DataError("the file is empty", hint="Expected a header line and data rows")
     above = [k for k, line in enumerate(lines[:_LINES_ABOVE]) if has_content(line, "")]
-    best: tuple[tuple[int, ...], int] = ((0,), filled[0])
+    best: tuple[tuple[int, ...], int, str] = ((0,), filled[0], ",")
     for delimiter in (*DELIMITERS, " "):
         rows = [fields(lines[k], delimiter) for k in filled[-_ROWS_BELOW:]]
         widths = [_widths(cells) for cells in rows if _is_tabular([cells])]
@@ -138,11 +131,11 @@ def header_at(lines: Sequence[str], comment: str, time: str) -> tuple[int, int] 
             agrees = len(cells) > 1 and 2 * agreeing > len(rows)
             own = (k in filled, delimiter != " ")
             if time in cells:
-                best = max(best, ((2, agrees, *own, -k), k))
+                best = max(best, ((2, agrees, *own, -k), k, delimiter))
             elif agrees and _names_columns(cells):
                 named = sum(read_name(each) is not None for each in cells)
-                best = max(best, ((1, *own, named, k), k))
-    return best[1], sum(k < best[1] for k in filled)
+                best = max(best, ((1, *own, named, k), k, delimiter))
+    return best[1:]
 
 
 def uncommented(line: str, comment: str) -> str:
@@ -317,16 +310,13 @@ def sniff(text: TextIO, config: LogsConfig) -> Dialect:
     header has names, and for stamps that can be read in two ways.
     """
     time, comment = config.time_column, config.comment
-    lines = first_lines(text, SAMPLE_LINES)
-    place = header_at(lines, comment, time)
-    if place is None:
-        raise DataError("the file is empty", hint="Expected a header line and data rows")
-    at, above = place
+    lines = [line for _ in range(SAMPLE_LINES + _LINES_ABOVE) if (line := read_row(text))]
+    at, delimiter = header_at(lines, comment, time)
+    delimiter = delimiter if config.delimiter == "auto" else config.delimiter
     header = uncommented(lines[at].rstrip("\r\n"), comment)
     _refuse_no_text(header, "".join(lines))
     rows = [k for k in range(at + 1, len(lines)) if has_content(lines[k], comment)][:SAMPLE_LINES]
     texts = [lines[k].rstrip("\r\n") for k in rows]
-    delimiter = _delimiter(header, texts) if config.delimiter == "auto" else config.delimiter
     names = fields(header, delimiter)
     if all(map(_is_number, filter(None, names))):
         raise DataError(
@@ -339,7 +329,9 @@ def sniff(text: TextIO, config: LogsConfig) -> Dialect:
     units = heads[0] if heads else _units_above(lines[:at], (delimiter, comment), names)
     cells = cells[below:]
     decimal = _decimal(cells, delimiter) if config.decimal == "auto" else config.decimal
-    further = _cells_below(lines[(rows or [at])[-1] + 1 :], text, names, (delimiter, time))
+    column = names.index(time) if time in names else MAX_LINE_CHARS
+    stamps = [row[column] for row in cells if len(row) > column and row[column]]
+    further = _cells_below(lines[(rows or [at])[-1] + 1 :], text, delimiter, column)
     return Dialect(
         delimiter=delimiter,
         decimal=decimal or ".",
@@ -347,10 +339,10 @@ def sniff(text: TextIO, config: LogsConfig) -> Dialect:
         comment=comment,
         header=names,
         time=time,
-        clock=_clock(_cells_of(cells, names, time), further, config),
+        clock=_clock(stamps, further, config) if time in names else None,
         head=Head(
             lines=(rows[below - 1] if below else at) + 1,
-            above=above,
+            above=sum(has_content(line, comment) for line in lines[:at]),
             units=units,
             below=below - bool(heads),
             repeated=frozenset(line.strip() for line in (header, *texts[:below])),
@@ -389,22 +381,10 @@ def _is_tabular(rows: Sequence[Sequence[str]]) -> bool:
     return numbers >= _NUMBERS_PART * max(filled.total(), 1)
 
 
-def _cells_of(rows: Sequence[Sequence[str]], header: tuple[str, ...], name: str) -> list[str]:
-    """Return the contents of column `name`, blank ones left out."""
-    if name not in header:
-        return []
-    position = header.index(name)
-    return [row[position] for row in rows if row[position : position + 1] not in ((), ("",))]
-
-
 def _cells_below(
-    lines: Sequence[str], text: TextIO, header: Sequence[str], column: tuple[str, str]
+    lines: Sequence[str], text: TextIO, delimiter: str, position: int
 ) -> Iterator[str]:
-    """Contents of a column further down, by delimiter and name, blank ones left out."""
-    delimiter, name = column
-    if name not in header:
-        return
-    position = header.index(name)
+    """Contents of a column further down, blank ones left out."""
     for line in chain(lines, iter(lambda: read_row(text, blank=False), "")):
         if line.isspace():  # a packed file may hold millions of such lines
             continue
@@ -428,24 +408,6 @@ def _unprintable(text: str) -> int:
     if shown.isascii() and shown.isprintable():
         return 0
     return sum(not sign.isprintable() or sign == "\N{REPLACEMENT CHARACTER}" for sign in shown)
-
-
-def _delimiter(header: str, rows: list[str]) -> str:
-    bare = [_QUOTED.sub("", row) for row in rows]
-    wanted = _QUOTED.sub("", header)
-    best, best_score = ",", 0.0
-    for candidate in DELIMITERS:
-        count = wanted.count(candidate)
-        if not count:
-            continue
-        # A trailing delimiter in the rows alone is common, hence "+ 1".
-        same = Counter(row.count(candidate) - count in (0, 1) for row in bare)[True]
-        score = (1.0 + same) / (1.0 + len(bare)) + 1e-6 * count
-        if score > best_score:
-            best, best_score = candidate, score
-    if best_score == 0.0 and len(wanted.split()) > 1:
-        return " "
-    return best
 
 
 def decimal_comma(cell: str, delimiter: str) -> bool:

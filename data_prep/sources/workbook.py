@@ -1,4 +1,4 @@
-"""The first sheet of a workbook as text, so that it is read as a CSV file is (extra `excel`)."""
+"""The sheet of most rows of a workbook as text, read as a CSV file is (extra `excel`)."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def is_workbook(magic: bytes) -> bool:
 
 
 def sheet_text(path: Path) -> io.StringIO:
-    """Return the first sheet with one row to a line, cells separated by tabs.
+    """Return the first of the sheets with most rows, a row to a line, cells separated by tabs.
 
     Numbers have all their digits, dates and times are ISO 8601 and durations seconds. Raises
     `ConfigError` without the extra, `DataError` for an archive that is no workbook.
@@ -44,7 +44,8 @@ def sheet_text(path: Path) -> io.StringIO:
     _check_bounds(path)
     try:
         book = calamine.CalamineWorkbook.from_path(path)
-        rows = book.get_sheet_by_index(0).to_python(skip_empty_area=False)
+        sheets = [book.get_sheet_by_index(k) for k in range(len(book.sheet_names))]
+        rows = max(sheets, key=lambda sheet: sheet.height).to_python(skip_empty_area=False)
     except (calamine.CalamineError, OSError, ValueError, IndexError) as error:
         raise DataError(
             "the file is an archive and no workbook that can be read", file=path,

@@ -17,10 +17,11 @@ from pathlib import Path
 
 import numpy as np
 
-from data_prep.derive import WeightOnWheels
+from data_prep.derive import DeriveConfig, WeightOnWheels, derive
 from data_prep.drafting.draft import Draft, draft
 from data_prep.equilibrium import BELOW_IDLE, in_equilibrium
 from data_prep.log import Log
+from data_prep.prepare import crowded
 from data_prep.ranking import other_driver
 from data_prep.reading import read_logs
 from eval.report.figures import recorded_figure
@@ -58,7 +59,8 @@ def run(options: Namespace, console: Console) -> int:
     with console.progress("Reading the logs"):
         columns = draft(options.logs)
         logs, trouble = _read(options.logs[:_MOST_READ], columns)
-    text = _Text(columns, logs, options.logs, out.resolve().parent, trouble).text()
+    found = _Text(columns, logs, options.logs, out.resolve().parent, trouble)
+    text = found.text()
     asked = [line for line in text.splitlines() if OPEN in line.partition("#")[0]]
     if not asked:
         RunConfig.parse(tomllib.loads(text), out)
@@ -70,6 +72,8 @@ def run(options: Namespace, console: Console) -> int:
     atomic_write_text(out, text)
     for line in asked:
         console.say(f"To be filled in: {line}")
+    if found.lacking and columns.unknown:
+        console.say(f"No column is known as {', '.join(found.lacking)}. Not known: {found.unknown}")
     then = "fill these in, then " if asked else ""
     drawn = f"plot: {plot}" if logs else f"no plot ({trouble})"
     console.say(f"Configuration: {out}, {drawn}. Next: {then}narxcal train {out} --out RUN")
@@ -101,7 +105,7 @@ class _Text:
         driver, why = self._driver
         air = [name for name in _AIR if name in self._there]
         outputs = self._outputs
-        lacking = ", ".join(name for name in _AIR if name not in air)
+        lacking = ", ".join(name for name in self.lacking if name in _AIR)
         without = f"  # no column is known as {lacking}: the model knows none" if lacking else ""
         response = next((name for name in outputs if described(name).unit in _SPEEDS), outputs[0])
         parts = [
@@ -119,8 +123,14 @@ class _Text:
     def _there(self) -> set[str]:
         """Channels that were recorded; where no log could be read, those of the columns."""
         if not self.logs:
-            return {line.channel for line in self.columns.lines} - {"time_s"}
+            names = {line.channel for line in self.columns.lines} - {"time_s"}
+            return names | {*derive({name: np.zeros(1) for name in names}, DeriveConfig(), "")}
         return {name for log in self.logs for name in log.channels if log.recorded([name])}
+
+    @property
+    def lacking(self) -> list[str]:
+        """Lever and air data of which there is no channel: the model knows none."""
+        return [name for name in ("TRA_deg", *_AIR) if name not in self._there]
 
     @cached_property
     def _outputs(self) -> list[str]:
@@ -146,6 +156,9 @@ class _Text:
                 for key, value in self.columns.assumed.items()
             ),
         ]
+        if any(map(crowded, self.logs)):
+            why = "rows share their time stamps: which columns tell engines apart? [] for none"
+            lines.append(f'instances = ["{OPEN}"]  # {why}')
         if self.columns.engines:
             lines += ["", "[logs.engines]  # by the columns that differ in this alone"]
             lines += [f"{name} = {in_toml(mark)}" for name, mark in self.columns.engines.items()]
@@ -154,7 +167,7 @@ class _Text:
             f"# not used: {in_toml(name)}, {why}" for name, why in self.columns.unused.items()
         ]
         if self.columns.unknown:
-            lines.append(f"# not known, give one to a channel to use it: {self._unknown()}")
+            lines.append(f"# not known, give one to a channel to use it: {self.unknown}")
         others = sorted(self.columns.others, key=lambda line: line.channel not in self._outputs)
         marks = ["" if line.channel in self._outputs else "# " for line in others]
         if "# " in marks:
@@ -179,7 +192,9 @@ class _Text:
             ]
         return "\n".join(lines) + "\n"
 
-    def _unknown(self) -> str:
+    @property
+    def unknown(self) -> str:
+        """Columns whose name says nothing."""
         names = [in_toml(each) for each in self.columns.unknown[:_MOST_UNKNOWN]]
         more = len(self.columns.unknown) - len(names)
         return ", ".join([*names, *([f"and {more} more"] if more else [])])
@@ -213,6 +228,8 @@ class _Text:
             if np.isfinite(idle):
                 above[name] = round(max(BELOW_IDLE[name], _BELOW * idle), 1)
                 lines.append(f"# {name} stands at {idle:.1f} % at the lowest: {_BELOW:g} of that")
+        if not self.logs:
+            return ""
         if not above:
             return "# [running]: no engine starts or stops in these logs\n"
         found = ", ".join(f"{name} = {value}" for name, value in above.items())

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import uniform_filter1d
 
 from data_prep.log import Log, Source
 
@@ -11,7 +12,7 @@ LAGS = {"N1_pct": (25.0, 75.0, 1.5), "N2_pct": (55.0, 45.0, 0.8), "EGT_C": (400.
 NOISE = {"N1_pct": 0.05, "N2_pct": 0.04, "EGT_C": 0.8}
 
 
-def flight(seed, duration_s=300.0, rate_hz=8.0, stay_s=12.0, levels=None):
+def flight(seed, duration_s=300.0, rate_hz=8.0, stay_s=12.0, levels=None, *, noise=1.0):
     """A log of slams between drawn levels; `levels` repeats those of another seed."""
     rng = np.random.default_rng(seed)
     time_s = np.arange(round(duration_s * rate_hz)) / rate_hz
@@ -26,7 +27,7 @@ def flight(seed, duration_s=300.0, rate_hz=8.0, stay_s=12.0, levels=None):
         for target in settled:
             state += (target - state) / (tau_s * rate_hz)
             value.append(state)
-        channels[name] = np.array(value) + rng.normal(0.0, NOISE[name], len(time_s))
+        channels[name] = np.array(value) + noise * rng.normal(0.0, NOISE[name], len(time_s))
     name = f"flight_{seed}.csv"
     return Log(name, time_s, channels, source=Source(f"/flights/{name}", f"bytes of {seed}"))
 
@@ -75,6 +76,11 @@ def copies():
         "recalibrated": lambda log: renamed(
             log.with_channels(
                 {name: log[name] * (1.001 + 0.0015 * log.time_s / log.time_s[-1]) for name in LAGS}
+            )
+        ),
+        "smoothed": lambda log: renamed(
+            log.with_channels(
+                {name: uniform_filter1d(values, 6) for name, values in log.channels.items()}
             )
         ),
         "masked": lambda log: renamed(

@@ -9,7 +9,9 @@ from data_prep.cleaning.identity import Identity, duplicates, refuse_duplicates
 from data_prep.log import Source
 from narxcal.support.errors import DataError, ModelError
 
-KINDS = ("renamed", "cut", "resampled", "EGT x 1.2", "four digits", "masked", "recalibrated")
+KINDS = (
+    "renamed", "cut", "resampled", "EGT x 1.2", "four digits", "masked", "recalibrated", "smoothed"
+)  # fmt: skip
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -54,6 +56,16 @@ def test_other_flights_and_the_same_levels_flown_again_with_a_drift_are_new(flig
     warmer = again.with_channels({"EGT_C": again["EGT_C"] + 4.0, "N1_pct": 1.004 * again["N1_pct"]})
     assert logs[1].identity.within(warmer) is None
     assert flight(1, 3600.0).identity.within(flight(2, 3600.0)) is None
+
+
+@pytest.mark.parametrize("noise", [1.0, 0.1, 0.0])
+def test_a_programme_that_is_flown_again_is_new(flight, noise):
+    """Also by a slower engine in other air, and by a simulation without noise."""
+    log, again = (flight(seed, 600.0, levels=3, noise=noise) for seed in (3, 4))
+    slower = replace(again, time_s=1.05 * again.time_s)
+    air = {"ALT_ft": 0.9 * slower["ALT_ft"], "N1_pct": 0.99 * slower["N1_pct"]}
+    assert not duplicates([log, slower.with_channels(air)])
+    assert not noise or not duplicates([log, again])
 
 
 def test_engines_of_one_flight_are_two_recordings(flight):

@@ -56,12 +56,14 @@ def test_columns_that_say_nothing_are_named(logs, narxcal, tmp_path):
     table = np.column_stack([TIME_S, SPEED_PCT / 2.0, SPEED_PCT, *30 * [TIME_S]])
     header = ",".join(["t [s],TLA [deg],N1 [%]", *names])
     np.savetxt(path, table, fmt="%.6g", delimiter=",", header=header, comments="")
-    narxcal("init", path, "--out", tmp_path / "mine.toml")
+    done = narxcal("init", path, "--out", tmp_path / "mine.toml")
     text = (tmp_path / "mine.toml").read_text("utf-8")
+    assert 'No column is known as ALT_ft, Mach, dT_C. Not known: "x0 [V]", ' in done.out
     twenty = ", ".join(json.dumps(name) for name in names[:20])
     assert f"# not known, give one to a channel to use it: {twenty}, and 10 more\n" in text
     assert "no column is known as ALT_ft, Mach, dT_C: the model knows none\n" in text
-    narxcal("init", *logs, "--out", tmp_path / "other.toml")
+    done = narxcal("init", *logs, "--out", tmp_path / "other.toml")
+    assert "Not known" not in done.out
     assert "not known" not in (tmp_path / "other.toml").read_text("utf-8")
 
 
@@ -89,6 +91,33 @@ def test_any_file_of_numbers_gives_a_draft(narxcal, tmp_path, header, driver, ou
     assert {*found["logs"].get("channels", {})} == own <= {*found["logs"]["columns"]}
     done = narxcal("prepare", out, "--out", tmp_path / "prepared")
     assert ("is still to be filled in" in done.err) == ('"?"' in out.read_text("utf-8"))
+
+
+def test_logs_with_true_airspeed_and_total_temperature_give_what_prepare_takes(narxcal, tmp_path):
+    """Mach by both, the temperature and the speed of weight on wheels by Mach."""
+    path, out = tmp_path / "air.csv", tmp_path / "mine.toml"
+    table = np.column_stack([TIME_S, SPEED_PCT / 2.0, SPEED_PCT, 90.0 * SPEED_PCT, 3.0 * SPEED_PCT])
+    header = "t [s],TLA [deg],N1 [%],Alt [ft],TAS [kt],TAT [degC]"
+    table = np.column_stack([table, 0.1 * SPEED_PCT])
+    np.savetxt(path, table, fmt="%.6g", delimiter=",", header=header, comments="")
+    narxcal("init", path, "--out", out)
+    found = tomllib.loads(out.read_text("utf-8"))
+    assert found["steady_state"]["inputs"] == ["TRA_deg", "ALT_ft", "Mach", "dT_C"]
+    assert found["logs"]["derive"]["WOW"]["airspeed"] == "CAS_kt"
+    assert narxcal("prepare", out, "--out", tmp_path / "prepared").code == 0
+
+
+def test_rows_that_share_stamps_may_be_of_several_engines_which_is_asked(narxcal, tmp_path):
+    path, out = tmp_path / "both.csv", tmp_path / "mine.toml"
+    both = np.column_stack([TIME_S, 0 * TIME_S, SPEED_PCT / 2.0, SPEED_PCT])
+    other = both + np.array([0.0, 1.0, 0.0, -2.0])
+    table = np.stack([both, other], axis=1).reshape(-1, 4)
+    np.savetxt(path, table, "%.6g", ",", header="t [s],Engine,TLA [deg],N1 [%]", comments="")
+    done = narxcal("init", path, "--out", out)
+    assert 'To be filled in: instances = ["?"]  # rows share their time stamps: ' in done.out
+    out.write_text(out.read_text("utf-8").replace('["?"]', '["Engine"]'), "utf-8")
+    done = narxcal("prepare", out, "--out", tmp_path / "prepared", "--json")
+    assert [each["log"] for each in json.loads(done.out)["logs"]] == ["both.csv:0", "both.csv:1"]
 
 
 def test_a_configuration_that_is_there_is_not_replaced(logs, narxcal, tmp_path):

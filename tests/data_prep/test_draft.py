@@ -195,6 +195,17 @@ def test_a_switch_that_is_on_in_flight_is_turned_round(tmp_path, on_ground, keys
     assert found["WOW"] == wanted
 
 
+def test_the_seconds_of_a_day_are_no_days(tmp_path):
+    found = draft([csv(tmp_path, "SecOfDay,N1,EGT_C", 7e4 + TIME_S, SPEED_PCT, 8 * SPEED_PCT)])
+    assert lines(found)["time_s"] == {"column": "SecOfDay", "unit": "s"}
+
+
+def test_a_time_that_may_be_in_ms_is_asked_for_and_read_so(tmp_path):
+    found = draft([csv(tmp_path, "t,N1,EGT_C", 1000.0 * TIME_S, SPEED_PCT, 8 * SPEED_PCT)])
+    assert lines(found)["time_s"] == {"column": "t", "unit": OPEN}
+    assert found.logs().columns["time_s"].unit == "ms"
+
+
 def test_a_clock_of_seconds_is_no_time_where_channels_have_rates(tmp_path):
     channels = {"GMT_SEC": TIME_S % 60.0, "N1_1": SPEED_PCT, "EGT_1": 400 + 4 * SPEED_PCT}
     path = tmp_path / "flight.mat"
@@ -236,7 +247,9 @@ def test_the_header_is_the_row_that_the_rows_below_agree_with(tmp_path):
         ("R\xe9gime moteur", "N1_pct"),
         ("D\xe9bit de carburant [kg/h]", "FF_kgph"), ("Caudal de combustible", "FF_kgph"),
         ("Au\xdfentemperatur", "SAT_C"), ("Velocidad indicada", "CAS_kt"),
-        ("Drehzahl N2", "N2_pct"), ("rec/eng1/N1", "N1_pct"), ("Fuel/Used", None),
+        ("Machzahl", "Mach"), ("Nombre de Mach", "Mach"), ("throttle_pos", "TRA_deg"),
+        ("Temp\xe9rature statique (\xb0C)", "SAT_C"), ("Drehzahl N2", "N2_pct"),
+        ("rec/eng1/N1", "N1_pct"), ("Fuel/Used", None),
     ],
 )  # fmt: skip
 def test_names_of_other_languages_and_within_structs(name, channel):

@@ -124,13 +124,15 @@ def test_a_response_that_never_settles_is_said_so():
     assert event.stop - event.start == 60 * 32
 
 
-def test_a_still_lever_has_no_events():
-    assert find_events(log_of(np.full(2000, 30.0)), FREE) == []
-
-
-def test_a_lever_that_toggles_by_its_resolution_has_no_events():
-    lever = np.full(2000, 30.0)
-    lever[::7] += 0.1
+@pytest.mark.parametrize(
+    "lever",
+    [
+        np.full(2000, 30.0),
+        np.where(np.arange(2000) % 7 == 0, 30.1, 30.0),  # it toggles by its resolution
+        *(np.linspace(0, 60, count) for count in (1, 2, 3, 10)),
+    ],
+)
+def test_a_still_lever_and_a_short_log_have_no_events(lever):
     assert find_events(log_of(lever), FREE) == []
 
 
@@ -139,11 +141,6 @@ def test_noise_alone_has_no_events():
     noisy = EventsConfig(condition="", driver="FF_kgph")
     log = log_of(np.zeros(20_000), FF_kgph=500 + rng.normal(0, 3, 20_000))
     assert find_events(log, noisy) == []
-
-
-@pytest.mark.parametrize("count", [1, 2, 3, 10])
-def test_a_short_log_has_no_events(count):
-    assert find_events(log_of(np.linspace(0, 60, count)), FREE) == []
 
 
 def test_an_absolute_change_replaces_the_relative_one():
@@ -306,22 +303,15 @@ def test_missing_driver_or_response_is_an_error(key, name):
     )
 
 
-def test_short_gaps_in_the_driver_are_bridged():
-    lever = lever_of(PUSH_PULL, 4000)
-    lever[1000:1010] = np.nan
-    lever[520:523] = np.nan
-    assert [
-        event.start
-        for event in find_events(log_of(lever, N1_pct=lag(lever_of(PUSH_PULL, 4000))), FREE)
-    ] == [500, 2000]
-
-
-def test_a_move_hidden_in_a_long_gap_of_the_driver_is_no_event():
+@pytest.mark.parametrize(
+    ("gaps", "starts"), [([(1000, 1010), (520, 523)], [500, 2000]), ([(450, 600)], [2000])]
+)
+def test_short_gaps_in_the_driver_are_bridged_and_a_move_in_a_long_one_is_no_event(gaps, starts):
     clean = lever_of(PUSH_PULL, 4000)
     lever = clean.copy()
-    lever[450:600] = np.nan
-    (event,) = find_events(log_of(lever, N1_pct=lag(clean)), FREE)
-    assert event.start == 2000
+    for start, stop in gaps:
+        lever[start:stop] = np.nan
+    assert [event.start for event in find_events(log_of(lever, N1_pct=lag(clean)), FREE)] == starts
 
 
 def test_an_event_ends_where_the_driver_is_lost():
