@@ -38,7 +38,7 @@ from narxcal.support.progress import Progress, silent
 from training.config import STATIC, RunConfig
 from training.dynamics.baselines import fit_baselines
 from training.dynamics.lags import choose_form, fit_lags
-from training.dynamics.mixture import HeldRun, Mixture, choose_mixture, network_alone
+from training.dynamics.mixture import Mixture, choose_mixture, network_alone
 from training.dynamics.network import (
     FitResult,
     HistoryRow,
@@ -93,16 +93,12 @@ class SteadyFit:
 
 @dataclass(frozen=True, eq=False)
 class Identification:
-    """A calibration, its steady state, entries in the record of the run, held-out free runs.
-
-    `held_lags` are those of the first-order lags that take its place if it does not settle.
-    """
+    """A calibration, its steady state, entries in the record of the run, and who leads it."""
 
     steady_fit: SteadyFit
     calibration: Calibration
     entries: Mapping[str, Any]
-    held: tuple[HeldRun, ...] = ()
-    held_lags: tuple[HeldRun, ...] = ()
+    mixture: Mixture | None = None
 
 
 class Method(Protocol):
@@ -161,10 +157,9 @@ def _narx(
         "lag_form": choice.row(),
         "training": _training_row(results),
         "baselines": baselines,
-        "mixture": mixture.row(),
     }
     weighed = mixture.applied(calibration, baselines)
-    return Identification(steady_fit, weighed, entries, mixture.free_runs, mixture.lag_runs)
+    return Identification(steady_fit, weighed, entries, mixture)
 
 
 def _mixture(

@@ -169,8 +169,12 @@ def _calibrated(config: RunConfig, base: Path, split: Split, options: TrainOptio
     reach = input_reach(split.train, found.calibration.input_names)
     calibration, certificate, lost = settling(found.calibration.with_input_limits(*reach), lags)
     # Where only a decay bound was added, the held-out runs without it stand in.
-    lead = bool(lost) and calibration.members.members == lags
-    held = (found.held_lags if lead else found.held) or free_runs(calibration, split.validate)
+    mixture = found.mixture
+    if mixture is not None:
+        lead = bool(lost) and calibration.members.members == lags
+        mixture = mixture.by_lags(lost[-1]) if lead else mixture
+        entries = {**entries, "mixture": mixture.row()}
+    held = (mixture.free_runs if mixture else ()) or free_runs(calibration, split.validate)
     trained = free_runs(calibration, split.train)
     training = {
         **entries["training"],

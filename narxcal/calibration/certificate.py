@@ -13,7 +13,8 @@ Inputs saturate in the box `Calibration.reach`, so that what holds there holds f
 points of the box, its corners first, the poles of the linearised step have to lie inside the unit
 circle; and a run that steps from point to point, far ones in turn, and stays ten time constants of
 the slowest pole at each (`HOLD_S` at least), may move by at most `SWING` of an output's largest
-steady value in the last sixth of each stay. A certificate is evidence, no proof: both are samples.
+steady value in the last sixth of each stay; where ten time constants would take too long, by that
+much back and forth. A certificate is evidence, no proof: both are samples.
 Where a model comes to rest is a second figure: networks without an anchor have equilibria of their
 own.
 """
@@ -37,7 +38,9 @@ from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ModelError
 
 HOLD_S: Final = 300.0
-_LONGEST_S: Final = 1500.0  # ten of the longest time constant of heat
+_LONGEST_S: Final = (
+    1500.0  # ten of the longest time constant of heat; a control may have longer ones
+)
 SWING: Final = 0.002
 _LAST: Final = 1.0 / 6.0  # of a stay, in which it may move by `SWING` at most
 _CORNERS, _INSIDE = 16, 16  # points at most
@@ -118,7 +121,8 @@ def certify(model: Calibration) -> Certificate:
     pole = float(max(poles))
     slowest_s = -model.dt_s / np.log(pole) if 0.0 < pole < 1.0 else 0.0
     hold_s = float(np.clip(10.0 * slowest_s, HOLD_S, _LONGEST_S))
-    swing, offset = _held(model, points, ss, hold_s)
+    steady = 10.0 * slowest_s <= hold_s
+    swing, offset = _held(model, points, ss, hold_s, steady=steady)
     scale = np.maximum(np.abs(ss).max(axis=0), 1e-9)
     swing, offset = swing / scale, offset / scale
     worst, slow = int(swing.max(axis=1).argmax()), int(np.argmax(poles))
@@ -157,9 +161,12 @@ def settling(
 
 
 def _held(
-    model: Calibration, points: FloatArray, ss: FloatArray, hold_s: float
+    model: Calibration, points: FloatArray, ss: FloatArray, hold_s: float, *, steady: bool
 ) -> tuple[FloatArray, FloatArray]:
-    """Swing and offset (points, n_out) at the ends of stays; what is not finite is infinite."""
+    """Swing and offset (points, n_out) at the ends of stays; what is not finite is infinite.
+
+    Of a model that need not be `steady` by then the way from first to last sample is no swing.
+    """
     steps = max(round(hold_s / model.dt_s), 12)
     order = np.repeat(np.arange(len(points)), steps)
     far = ss[0] + 0.5 * np.ptp(ss, axis=0)
@@ -167,6 +174,7 @@ def _held(
         y = model.run(points[order], ss[order], far).reshape(len(points), steps, -1)
         end = y[:, -max(round(_LAST * steps), 2) :]
         swing, offset = np.ptp(end, axis=1), np.abs(end.mean(axis=1) - ss)
+        swing -= 0.0 if steady else np.abs(end[:, -1] - end[:, 0])
     return np.nan_to_num(swing, nan=np.inf), np.nan_to_num(offset, nan=np.inf)
 
 

@@ -219,4 +219,8 @@ def test_lags_that_take_the_place_of_a_mixture_have_held_out_runs_of_their_own()
     errors = np.arange(1.0, len(MODELS) + 1.0)
     found = mixture(held("a", errors))
     assert found.free_runs[0].model[0, 0] == pytest.approx(np.mean(errors[:2]))
-    assert found.lag_runs[0].model[0, 0] == errors[MODELS.index("first_order")]
+    lags = found.by_lags("it does not settle")
+    assert lags.free_runs[0].model[0, 0] == errors[MODELS.index("first_order")]
+    stored = lags.row()
+    assert stored["status"] == "it does not settle"
+    assert stored["channels"]["N1_pct"]["weights"] == {"first_order": 1.0}

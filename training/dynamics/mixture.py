@@ -28,7 +28,7 @@ network carry over, and the simple models have equal weights.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -123,20 +123,17 @@ class Mixture:
     @property
     def free_runs(self) -> tuple[HeldRun, ...]:
         """Held-out free runs of the mixture."""
-        return self._runs(self.weights)
+        mixed = [one.mixed(self.weights) for one in self.held]
+        return tuple(
+            HeldRun(one.steady, run, one.measured, one.piece, one.whole, one.inside)
+            for one, run in zip(self.held, mixed, strict=True)
+        )
 
-    @property
-    def lag_runs(self) -> tuple[HeldRun, ...]:
-        """Held-out free runs of first-order lags, which lead where the mixture does not settle."""
+    def by_lags(self, why: str) -> Mixture:
+        """First-order lags alone, which lead where the mixture does not settle."""
         alone = np.zeros_like(self.weights)
         alone[MODELS.index("first_order")] = 1.0
-        return self._runs(alone)
-
-    def _runs(self, weights: FloatArray) -> tuple[HeldRun, ...]:
-        return tuple(
-            HeldRun(one.steady, one.mixed(weights), one.measured, one.piece, one.whole, one.inside)
-            for one in self.held
-        )
+        return replace(self, weights=alone, status=why)
 
     def applied(
         self, calibration: DynamicCalibration, baselines: Mapping[str, Any]

@@ -117,6 +117,14 @@ def test_a_model_that_diverges_is_found():
     assert found.words.startswith("does not settle at constant inputs: ")
 
 
+@pytest.mark.parametrize("tau_s", [100.0, 300.0, 1000.0])
+def test_a_pole_slower_than_a_stay_settles(tau_s):
+    """As the control of a sound engine may at a corner of its box: far out, thin air, idle."""
+    found = certify(IdentifiedCalibration(steady(), state_space(np.exp(-DT_S / tau_s)), DT_S))
+    assert found.slowest_s == pytest.approx(tau_s, rel=1e-3)
+    assert found.settled
+
+
 def test_a_response_without_damping_hunts():
     found = certify(IdentifiedCalibration(steady(), responses(1e-4), DT_S))
     assert found.pole < 1.0
