@@ -70,7 +70,8 @@ def test_what_a_run_misses_at_rest_is_taken_into_the_settled_values(model):
 def _weights_of(values, model, u):
     features = model.features(u)
     rows = features.reshape(-1, features.shape[-1])
-    return np.linalg.lstsq(rows, values.reshape(len(rows), -1), rcond=None)[0]
+    corrected_values = values / model.scales(u)[0]
+    return np.linalg.lstsq(rows, corrected_values.reshape(len(rows), -1), rcond=None)[0]
 
 
 def test_outputs_are_features_times_weights(model):
