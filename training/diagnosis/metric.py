@@ -137,7 +137,7 @@ class Metric:
         self.slices = tuple(slice(a, b) for a, b in pairwise(ends.tolist()))
         self._known = known
         places = [np.indices(each.shape) for each in variance]
-        cells = [at[2] + b * at.shape[3] for b, at in enumerate(places)]
+        cells = [at[2] + b * record.real.shape[2] for b, at in enumerate(places)]
         cell = np.concatenate([each.reshape(-1) for each in cells])
         flight = np.concatenate([at[0].reshape(-1) for at in places])
         self.cell, self.flight = cell[self._order], flight[self._order]
