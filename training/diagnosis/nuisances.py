@@ -147,6 +147,7 @@ def _small(flights: Flights, emulator: Emulator | None) -> list[tuple[str, Float
     sizes: dict[str, dict[str, float]] = {
         "throttle_backlash": {"width_deg": 0.15 * lever / _LEVER_DEG},
         "throttle_bias": {"bias_deg": 0.15 * lever / _LEVER_DEG},
+        "throttle_delay": {"delay_s": 0.015},
         "actuator_lag": {"tau_s": 0.015},
         "sensor_lag:EGT_C": {"tau_s": _PROBE * _PROBE_S, "own_s": 0.0},
         "spool_lag": {"factor": 1.01},
