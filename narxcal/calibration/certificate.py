@@ -38,9 +38,8 @@ from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ModelError
 
 HOLD_S: Final = 300.0
-_LONGEST_S: Final = (
-    1500.0  # ten of the longest time constant of heat; a control may have longer ones
-)
+_LONGEST_S: Final = 1500.0  # ten of the longest time constant of heat; a control's may be longer
+_ROUNDING: Final = 2.0**-26  # to which the modulus of a double pole is known
 SWING: Final = 0.002
 _LAST: Final = 1.0 / 6.0  # of a stay, in which it may move by `SWING` at most
 _CORNERS, _INSIDE = 16, 16  # points at most
@@ -77,7 +76,7 @@ class Certificate:
     @property
     def settled(self) -> bool:
         """Whether all poles lie inside the unit circle and nothing moves at the end of a stay."""
-        return self.pole < 1.0 and max(self.swing.values()) <= SWING
+        return self.pole < 1.0 - _ROUNDING and max(self.swing.values()) <= SWING
 
     @property
     def slowest_s(self) -> float:

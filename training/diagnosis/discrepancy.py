@@ -14,17 +14,18 @@ that seem to act in all of them are the simulator's own error.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
 import numpy as np
+from pydantic import TypeAdapter
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import minimize
 
 from narxcal.support.arrays import FloatArray
 from training.diagnosis.dictionary import Dictionary, Node
 from training.diagnosis.fit import Frame
-from training.diagnosis.metric import BLOCK, Metric, Record, bands_of
+from training.diagnosis.metric import BLOCK, Metric, Record, bands_of, block_means
 from training.diagnosis.nuisances import BUILD, OFFSET, Nuisances
 
 BANDS: Final = 4
@@ -109,36 +110,12 @@ class Discrepancy:
 
     def document(self) -> dict[str, Any]:
         """Plain values for JSON."""
-        return {
-            "schema": "narxcal.discrepancy/1",
-            "flights": self.flights,
-            "basis": [list(row) for row in self.basis],
-            "noise": {name: [list(pair) for pair in rows] for name, rows in self.noise.items()},
-            "tau": {name: list(rows) for name, rows in self.tau.items()},
-            "common": {name: list(rows) for name, rows in self.common.items()},
-            "own": {name: list(rows) for name, rows in self.own.items()},
-            "natural": dict(self.natural),
-            "logs": self.logs,
-            "overdispersion": self.overdispersion,
-        }
+        return {"schema": "narxcal.discrepancy/1", **asdict(self)}
 
 
 def read(found: Mapping[str, Any]) -> Discrepancy:
-    """From the plain values of `document`."""
-    tau, common, own = (
-        {name: tuple(rows) for name, rows in found[key].items()} for key in ("tau", "common", "own")
-    )
-    return Discrepancy(
-        int(found["flights"]),
-        tuple(tuple(row) for row in found["basis"]),
-        {name: tuple((a, k) for a, k in rows) for name, rows in found["noise"].items()},
-        tau,
-        common,
-        own,
-        dict(found["natural"]),
-        int(found["logs"]),
-        float(found["overdispersion"]),
-    )
+    """From the plain values of `document`; raises `ValueError` for others."""
+    return TypeAdapter(Discrepancy).validate_python(found)
 
 
 def learn(record: Record, dictionary: Dictionary) -> Discrepancy:
@@ -261,21 +238,13 @@ def _noises(record: Record, gap: FloatArray) -> FloatArray:
     activity, parts = activities(record.flights.y), bands_of(gap, BANDS)
     outputs = gap.shape[-1]
     found = np.zeros((outputs, BANDS, 2))
-    known = bands_of(record.known.astype(float), 1)[0]
     for b in range(BANDS):
-        size = BLOCK**b
-        inside = _inside(known, size)
+        inside = block_means(record.known.astype(float), BLOCK**b) > 0.5
         for c in range(outputs):
             use = inside[..., c]
             r2, g = parts[b][..., c][use] ** 2, activity[b][..., c][use]
             found[c, b] = _likeliest(r2, g, _least(record, c, b))
     return found
-
-
-def _inside(known: FloatArray, size: int) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-    starts = np.arange(0, known.shape[1], size)
-    lengths = np.diff(np.append(starts, known.shape[1]))
-    return np.asarray(np.add.reduceat(known, starts, axis=1) / lengths[None, :, None] > 0.5)
 
 
 def _likeliest(r2: FloatArray, g: FloatArray, least: float) -> FloatArray:

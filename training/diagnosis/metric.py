@@ -23,6 +23,7 @@ from narxcal.effects.running import Flights
 from narxcal.support.arrays import FloatArray, IntArray
 
 TOLERANCE = 1e-3  # of a channel's range: what nobody would call a gap
+STRETCH_S = 480.0  # a flight of the calibration
 BLOCK = 8  # samples of a band that make one of the next slower
 
 
@@ -81,6 +82,13 @@ class Record:
         seconds = float((self.unit >= 0).sum()) * self.flights.signals.dt_s
         return 25.0 * seconds / 480.0
 
+    def stretches(self, most: int) -> Record:
+        """Stretches as flights and units, those with most of the gap."""
+        at, lengths = stretches(self.flights, ((self.gap / self.span) ** 2).sum(axis=2), most)
+        inside = np.arange(at[1].shape[1]) < lengths[:, None]
+        unit = np.where(inside, np.arange(len(lengths))[:, None], -1)
+        return Record(few(self.flights, at, lengths), self.real[at], self.noise, unit)
+
     def some(self, rows: Sequence[int]) -> Record:
         """Some of the flights, their units numbered anew."""
         at, flights = list(rows), self.flights
@@ -91,6 +99,27 @@ class Record:
         return Record(few, self.real[at], self.noise, unit, group)
 
 
+def stretches(
+    flights: Flights, weight: FloatArray, most: int
+) -> tuple[tuple[IntArray, IntArray], IntArray]:
+    """Flights and times (n, size) of stretches of about `STRETCH_S`, those with most `weight`.
+
+    `weight` is (flights, time), nothing beyond a flight's end. With the lengths (n,) of these.
+    """
+    steps = weight.shape[1]
+    size = -(-steps // max(1, round(steps * flights.signals.dt_s / STRETCH_S)))
+    starts = np.arange(0, steps, size)
+    own = np.clip(flights.lengths[:, None] - starts, 0, size)
+    order = np.argsort(-np.add.reduceat(weight, starts, axis=1), axis=None, kind="stable")
+    f, k = np.unravel_index(np.sort(order[: min(most, int((own > 0).sum()))]), own.shape)
+    return (f[:, None], np.minimum(starts[k][:, None] + np.arange(size), steps - 1)), own[f, k]
+
+
+def few(flights: Flights, at: tuple[IntArray, IntArray], lengths: IntArray) -> Flights:
+    """The stretches `at` of flights as flights."""
+    return replace(flights, u=flights.u[at], y=flights.y[at], lengths=lengths)
+
+
 class Metric:
     """Whitens vectors; `variance` is one array (flights, time or fewer, outputs) per band."""
 
@@ -99,8 +128,8 @@ class Metric:
         known = record.known
         roots, units = [], []
         for b, each in enumerate(variance):
-            share = known.astype(np.float64) if b == 0 else _means(known.astype(float), BLOCK**b)
             size = BLOCK**b
+            share = block_means(known.astype(np.float64), size)
             roots.append(np.where(share > 0.5, np.sqrt(size * share / each), 0.0))
             middle = np.minimum(np.arange(each.shape[1]) * size + size // 2, known.shape[1] - 1)
             unit = np.broadcast_to(record.unit[:, middle, None], each.shape)
@@ -113,18 +142,10 @@ class Metric:
         ends = np.searchsorted(unit[self._order], np.arange(record.units + 1))
         self.slices = tuple(slice(a, b) for a, b in pairwise(ends.tolist()))
         self._known = known
-        cell = np.concatenate(
-            [
-                (np.zeros(r.shape, dtype=int) + np.arange(r.shape[2]) + b * r.shape[2]).reshape(-1)
-                for b, r in enumerate(roots)
-            ]
-        )
-        flight = np.concatenate(
-            [
-                (np.zeros(r.shape, dtype=int) + np.arange(len(r))[:, None, None]).reshape(-1)
-                for r in roots
-            ]
-        )
+        places = [np.indices(each.shape) for each in variance]
+        cells = [at[2] + b * record.real.shape[2] for b, at in enumerate(places)]
+        cell = np.concatenate([each.reshape(-1) for each in cells])
+        flight = np.concatenate([at[0].reshape(-1) for at in places])
         self.cell, self.flight = cell[self._order], flight[self._order]
 
     def whiten(self, v: FloatArray) -> FloatArray:
@@ -148,14 +169,14 @@ def bands_of(v: FloatArray, count: int) -> list[FloatArray]:
     """
     parts, slow = [], v
     for _ in range(count - 1):
-        means = _means(slow, BLOCK)
+        means = block_means(slow, BLOCK)
         back = np.repeat(means, BLOCK, axis=1)[:, : slow.shape[1]]
         parts.append(slow - back)
         slow = means
     return [*parts, slow]
 
 
-def _means(v: FloatArray, size: int) -> FloatArray:
+def block_means(v: FloatArray, size: int) -> FloatArray:
     """Means over blocks of `size` along time; the last block may be shorter."""
     starts = np.arange(0, v.shape[1], size)
     lengths = np.diff(np.append(starts, v.shape[1]))

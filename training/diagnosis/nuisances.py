@@ -34,6 +34,7 @@ _FREEZING_K: Final = 273.15
 _LEVER_DEG: Final = 85.0
 _PROBE: Final = 0.03  # of its own lag
 _PROBE_S: Final = 1.0  # lag of the hot probe
+_SOAK: Final = 0.015  # of a channel's range, where the metal trails by the whole range of the gas
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,6 +146,8 @@ def _small(flights: Flights, emulator: Emulator | None) -> list[tuple[str, Float
     lever = signals.lever[1] - signals.lever[0]
     sizes: dict[str, dict[str, float]] = {
         "throttle_backlash": {"width_deg": 0.15 * lever / _LEVER_DEG},
+        "throttle_bias": {"bias_deg": 0.15 * lever / _LEVER_DEG},
+        "throttle_delay": {"delay_s": 0.015},
         "actuator_lag": {"tau_s": 0.015},
         "sensor_lag:EGT_C": {"tau_s": _PROBE * _PROBE_S, "own_s": 0.0},
         "spool_lag": {"factor": 1.01},
@@ -157,13 +160,14 @@ def _small(flights: Flights, emulator: Emulator | None) -> list[tuple[str, Float
         return found
     for name, given in sizes.items():
         effect = effect_called(name)
-        if effect.applies(signals) and (name != "throttle_backlash" or signals.governed):
+        if effect.applies(signals) and (signals.governed or not name.startswith("throttle")):
             theta = theta_of(effect.parameters(signals), given)
             found.append((name, response(effect, theta, flights, emulator)))
-    soak = effect_called("heat_soak")
+    soak, span = effect_called("heat_soak"), signals.high - signals.low
     for p in soak.parameters(signals):
         if p.linear:
-            given = {"tau_s": 40.0, "rise_s": 1.0, p.name: 0.015}
+            width = span[signals.y(p.name.removeprefix("share_"))] / span[signals.hot]
+            given = {"tau_s": 40.0, "rise_s": 1.0, p.name: _SOAK * float(width)}
             theta = theta_of(soak.parameters(signals), given)
             found.append(("heat_soak", response(soak, theta, flights, emulator)))
     return [(name, each) for name, each in found if np.isfinite(each).all() and each.any()]
