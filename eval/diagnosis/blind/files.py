@@ -20,8 +20,8 @@ from typing import Any, Final
 
 from eval.diagnosis.applied import read_document
 from eval.diagnosis.blind.truth import Channels
+from narxcal.support.csv_text import log_csv
 from narxcal.support.errors import ConfigError, DataError
-from narxcal.support.files import log_csv
 
 MARK: Final = b"narxcal.blind_key/1\n"
 _ROUNDS = 200_000
