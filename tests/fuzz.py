@@ -490,7 +490,7 @@ GAP = {
     ],
 }
 EMULATOR = {
-    "schema": "narxcal.emulator/3", "signals": SIGNALS, "conditions": ["ALT_ft"], "switches": [],
+    "schema": "narxcal.emulator/4", "signals": SIGNALS, "conditions": ["ALT_ft"], "switches": [],
     "core": {"low_pct": 50.0, "span_pct": 40.0}, "governed": 0, "dt_s": 0.25,
 }  # fmt: skip
 

@@ -293,7 +293,7 @@ def read_document(file: Path, schema: str, error: type[NarxcalError], hint: str)
     return dict(document)
 
 
-SCHEMA = "narxcal.emulator/3"
+SCHEMA = "narxcal.emulator/4"
 EMULATOR = "emulator"  # folder next to gap.json
 DOCUMENT, WEIGHTS = "emulator.json", "weights.safetensors"
 _AGAIN = "Diagnose again, or copy the folder again"
