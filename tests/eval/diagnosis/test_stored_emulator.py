@@ -29,7 +29,7 @@ def test_damage_is_refused(stored, emulator, tmp_path):
     with pytest.raises(ModelError, match="cannot be read"):
         read_emulator(tmp_path)
     (tmp_path / "emulator.json").write_text("{}", "utf-8")
-    with pytest.raises(ModelError, match=r"expected schema 'narxcal\.emulator/3', found None"):
+    with pytest.raises(ModelError, match=r"expected schema 'narxcal\.emulator/4', found None"):
         read_emulator(tmp_path)
     text = (stored / "emulator.json").read_text("utf-8")
     (tmp_path / "emulator.json").write_text(text, "utf-8")
