@@ -33,7 +33,6 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
 
 import numpy as np
 from scipy import fft
-from scipy.interpolate import make_interp_spline
 
 from narxcal.channels import CHANNELS, described
 from narxcal.support.arrays import FloatArray, IntArray, bridge_gaps
@@ -146,6 +145,9 @@ class _Recorded:
     """Channels of a log as recorded; their small movements are taken over spans of any length."""
 
     def __init__(self, time_s: FloatArray, channels: Mapping[str, FloatArray]) -> None:
+        # Slow to load, and `prepare` needs none of it.
+        from scipy.interpolate import make_interp_spline  # noqa: PLC0415
+
         self.time_s = time_s
         self._channels: dict[str, tuple[Any, FloatArray, float]] = {}
         for name in _ordered(channels) if len(time_s) > 1 else ():
