@@ -31,6 +31,8 @@ from eval.diagnosis.expected import (
     held_out,
     seen,
     shift_of,
+    taken_off,
+    time_errors,
     time_shrink,
     unseen,
     with_effects,
@@ -303,7 +305,7 @@ def _refused(evidence: Evidence, differences: NullModel) -> str:
     the most part what a simulator was learned to get wrong by itself.
     """
     found = evidence.budget
-    taken = expected(seen(evidence.data, evidence.after, found.by_others, evidence.data.unit))
+    taken = taken_off(evidence.data, evidence.after, found.by_others)
     if round(taken.low if differences.learned is None else taken.value, 2) > 0.0:
         return ""
     names = listed([in_words(name) for name in found.claimed])
@@ -319,12 +321,13 @@ def _evidence(
     values = found.claimed
     after = with_effects(values, data.flights, stand_in)
     where = locate(data, after - data.flights.y)
+    then = time_errors(data, after, where.events) if values else where.times
     return Evidence(
         data,
         found,
         where,
         after,
-        time_shrink(data, after, where.events),
+        time_shrink(where.times, then),
         expected(seen(data, after, found.by_others)) if values else _NOTHING,
         channel_shrink(data, after),
         emulator,
@@ -350,9 +353,9 @@ def _with_held_out(
     there = held_out(found.claimed, data, stand_in)
     if checked is not None:
         there = replace(there, emulator_rmse=_errors(checked, data))
-    evidence = replace(
-        evidence, held_out=there, times=time_shrink(data, there.after, events_of(data))
-    )
+    events = events_of(data)
+    before, after = (time_errors(data, y, events) for y in (data.flights.y, there.after))
+    evidence = replace(evidence, held_out=there, times=time_shrink(before, after))
     # Windows of a load in further flights are found in what was recorded: no prediction.
     if not found.claimed or UNLOGGED_SWITCH.id in found.claimed:
         return evidence

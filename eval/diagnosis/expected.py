@@ -174,11 +174,10 @@ def channel_shrink(data: Record, after: FloatArray) -> dict[str, ChannelShrink]:
 
 
 def time_shrink(
-    data: Record, after: FloatArray, events: Sequence[Sequence[Event]]
+    before: Mapping[str, pd.DataFrame], after: Mapping[str, pd.DataFrame]
 ) -> dict[str, TimeShrink]:
-    first = time_errors(data, data.flights.y, events)
-    then = time_errors(data, after, events)
-    return {name: _both(first[name], then[name]) for name in first}
+    """Compare `time_errors` before and after, on the events that both have."""
+    return {name: _both(before[name], after[name]) for name in before}
 
 
 def _both(before: pd.DataFrame, after: pd.DataFrame) -> TimeShrink:
@@ -216,25 +215,22 @@ class Other(NamedTuple):
     samples: FloatArray
 
 
-def seen(
-    data: Record, after: FloatArray, by_others: FloatArray | None, unit: IntArray | None = None
-) -> Sums:
+def seen(data: Record, after: FloatArray, by_others: FloatArray | None) -> Sums:
     """Sum up flight by flight what `after` (flights, time, outputs) changes and leaves.
 
-    Unit by unit where `unit` (flights, time) is given. With `by_others` added it is what the
-    parameters do that the other flights give: what each flight would have left if it had taken no
-    part.
+    With `by_others` added it is what the parameters do that the other flights give: what each
+    flight would have left if it had taken no part.
     """
     unfitted = after if by_others is None else after + by_others
-    return Sums(*squares(data, unfitted, unit), *unseen(data, after, unit))
+    return Sums(*squares(data, unfitted), *unseen(data, after))
 
 
-def unseen(data: Record, after: FloatArray, unit: IntArray | None = None) -> Other:
+def unseen(data: Record, after: FloatArray) -> Other:
     """What `after` changes, and where anything was recorded, whatever that is."""
     known = np.isfinite(data.real)
     change = (after - data.flights.y) ** 2 / data.variance
-    samples = known.sum(axis=2).astype(np.float64)
-    return Other(_summed(np.sum(change, axis=2, where=known), unit), _summed(samples, unit))
+    samples = known.sum(axis=(1, 2)).astype(np.float64)
+    return Other(np.sum(change, axis=(1, 2), where=known), samples)
 
 
 def expected(found: Sums, other: Other | None = None) -> Interval:
@@ -304,6 +300,25 @@ def _within(share: float, reach: float) -> Interval:
     left = 1.0 - share + _FINE
     low, high = (1.0 + _FINE - left * float(np.exp(way * reach)) for way in (1.0, -1.0))
     return Interval(share, max(-1.0, low), min(1.0, high))
+
+
+def taken_off(data: Record, after: FloatArray, by_others: FloatArray | None) -> Interval:
+    """Share of the squared gap that effects take off each unit by what the other units give.
+
+    Of the energy m of what they change in a unit they take a m + e off, with e of a variance that
+    goes with m: whether a is above zero does not depend on how much a flight lets effects do. With
+    a 90 % interval by Student's distribution.
+    """
+    unfitted = after if by_others is None else after + by_others
+    before, left = squares(data, unfitted, data.unit)
+    change = (unfitted - data.flights.y) ** 2 / data.variance
+    moved = np.maximum(_summed(np.where(data.known, change, 0.0).sum(axis=2), data.unit), _NONE)
+    taken, count = before - left, len(before)
+    a = float(taken.sum() / moved.sum())
+    spread = np.sqrt(np.sum((taken - a * moved) ** 2 / moved) / max(count - 1, 1) / moved.sum())
+    reach = float(t.ppf(_LEVEL, max(count - 1, 1)) * spread)
+    scale = float(moved.sum() / max(before.sum(), _NONE))
+    return Interval(a * scale, (a - reach) * scale, (a + reach) * scale)
 
 
 _LEAST = 0.08  # of the channel's range: the smallest response that is read

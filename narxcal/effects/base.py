@@ -202,8 +202,8 @@ class Effect:
 
     What separates it from the others of its `family` is the `manoeuvre`. One that is `per_channel`
     acts on its `channel` alone. `fixed` are the parameters that do not depend on the signals; a
-    shape has an `amplitude` for each of its terms; and what takes power, or gives less, has the
-    loss of acceleration that is `taken` under a control.
+    shape has an `amplitude` for each of its terms; shapes that are `apart` may each act alone; and
+    what takes power, or gives less, has the loss of acceleration that is `taken` under a control.
 
     | hook, if it has it | gives |
     |---|---|
@@ -227,6 +227,7 @@ class Effect:
     channel: str | None = None
     per_channel: bool = False
     settled: bool = False
+    apart: bool = False
     amplitude: Callable[[Signals, str, str], Parameter] = within_range
     taken: Parameter | None = None
     bounds: Callable[[Signals, str], tuple[Parameter, ...]] | None = None
@@ -267,6 +268,17 @@ class Effect:
         """Parameters to begin with: all combinations of starts, 0 for linear ones."""
         choices = [(0.0,) if p.linear else p.starts for p in self.parameters(signals)]
         return self.starts or tuple(product(*choices))
+
+    def acting(self, signals: Signals) -> list[tuple[int, ...]]:
+        """Places of the parameters with slopes, of all shapes and of each that may act alone."""
+        every = [j for j, p in enumerate(self.parameters(signals)) if not p.all_or_nothing]
+        shapes = [shape for shape, _ in self._terms(signals)]
+        kinds = dict.fromkeys(shapes) if self.apart else {}
+        absent = [
+            {len(self.fixed) + j for j, other in enumerate(shapes) if other != one} for one in kinds
+        ]
+        found = [tuple(j for j in every if j not in without) for without in (set[int](), *absent)]
+        return list(dict.fromkeys(found))
 
     def applies(self, signals: Signals) -> bool:
         """Whether the signals hold what the effect acts on."""

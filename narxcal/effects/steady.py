@@ -51,6 +51,7 @@ BLEED_EXTRACTION: Final = _taking(
     family="slow offset",
     meaning="bleed that follows the logged switches",
     manoeuvre="anti-ice and bleed on and off at constant throttle",
+    apart=True,
     terms=lambda signals: tuple((name, to) for name in _used(signals) for to in signals.outputs),
     shapes=_bled,
 )

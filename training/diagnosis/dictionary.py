@@ -8,7 +8,7 @@ linearisation right (Gauss-Newton by nodes): everything else is inner products.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -26,8 +26,9 @@ _NIL: Final = 1e-3  # share of its range below which an amplitude is none
 class Node:
     """One effect at `theta` (p,): `rows` (1 + q, flights, time, outputs) are response and slopes.
 
-    `free` are the places in theta of the q parameters that have slopes, `box` (q, 2) how far each
-    may go from here. A load of latent windows, `on` (flights, time), has so many `switches`.
+    `free` are the places in theta of the q parameters that have slopes, the others stay where they
+    are; `box` (q, 2) is how far each may go from here. A load of latent windows, `on` (flights,
+    time), has so many `switches`.
     """
 
     effect: Effect
@@ -41,13 +42,20 @@ class Node:
 
     @property
     def size(self) -> int:
-        """Number of linear parameters and switches, at least 1."""
-        return max(1, sum(p.linear for p in self.parameters) + self.switches)
+        """Number of free linear parameters and switches, at least 1."""
+        return max(1, sum(self.parameters[j].linear for j in self.free) + self.switches)
 
     @property
     def name(self) -> str:
         """Name of the effect."""
         return self.effect.name
+
+    def of(self, free: tuple[int, ...]) -> Node:
+        """The same with some of its slopes."""
+        some = [self.free.index(j) for j in free]
+        return replace(
+            self, free=free, rows=self.rows[[0, *(1 + k for k in some)]], box=self.box[some]
+        )
 
     def at(self, x: FloatArray) -> FloatArray:
         """Parameters (p,) after a step x (q,)."""
@@ -74,26 +82,30 @@ class Dictionary:
         self.nodes: dict[str, list[Node]] = {}
         for effect in effects:
             parameters = effect.parameters(flights.signals)
-            self.nodes[effect.name] = self._run(
-                effect, parameters, np.array(effect.nodes(flights.signals))
-            )
+            every, *some = effect.acting(flights.signals)
+            starts = np.array(effect.nodes(flights.signals))
+            nodes = self._run(effect, parameters, starts, every)
+            self.nodes[effect.name] = nodes + [one.of(free) for free in some for one in nodes]
 
     def add(self, node: Node, theta: FloatArray) -> Node | None:
         """A further node of the same effect at `theta`; None where there is one already."""
         known = self.nodes[node.name]
         size = np.array([_scale(p, v) for p, v in zip(node.parameters, theta, strict=True)])
         for one in known:
-            if bool((np.abs(one.theta - theta) <= 0.02 * size).all()):
+            if one.free == node.free and bool((np.abs(one.theta - theta) <= 0.02 * size).all()):
                 return None
-        (found,) = self._run(node.effect, node.parameters, theta[None])
+        (found,) = self._run(node.effect, node.parameters, theta[None], node.free)
         known.append(found)
         return found
 
     def _run(
-        self, effect: Effect, parameters: tuple[Parameter, ...], thetas: FloatArray
+        self,
+        effect: Effect,
+        parameters: tuple[Parameter, ...],
+        thetas: FloatArray,
+        free: tuple[int, ...],
     ) -> list[Node]:
         """Run nodes with the differences for their slopes, all in one batch."""
-        free = tuple(j for j, p in enumerate(parameters) if not p.all_or_nothing)
         tried = [_differences(parameters, theta, free) for theta in thetas]
         batch = np.concatenate(
             [np.vstack([theta, *each]) for theta, each in zip(thetas, tried, strict=True)]

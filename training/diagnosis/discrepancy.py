@@ -147,9 +147,8 @@ def _gains(record: Record, nodes: Mapping[str, list[Node]], f: int) -> dict[str,
     found = {}
     for name, each in nodes.items():
         best = frame.fit(_of(each, [f]))
-        count = max(1, sum(p.linear for p in best.node.parameters))
         gain = (frame.none.cost - best.solved.cost) / best.solved.tau
-        found[name] = max(gain, 0.0) / count
+        found[name] = max(gain, 0.0) / best.node.size
     return found
 
 

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.signal import lfilter
@@ -139,12 +139,14 @@ def _added(
     model: SettledModel, flights: Flights, rows: FloatArray, missed: FloatArray
 ) -> SettledModel:
     """The model with weights added that give what is `missed`, by features `rows`."""
-    scales, weights = model.scales(flights.u)[0], model.weights.copy()
+    every = max(1, round(_FOLLOWS_S / flights.signals.dt_s))  # samples nearer in time say the same
+    rows, missed, still = (v[:, ::every] for v in (rows, missed, _stillness(flights)))
+    scales, weights = model.scales(flights.u[:, ::every])[0], model.weights.copy()
     penalty = _penalty(rows.shape[-1], len(model.conditions))
     kinds = [similarity(name) for name in flights.signals.outputs]
     for kind in dict.fromkeys(kinds):
         some = [c for c, other in enumerate(kinds) if other == kind]
-        root = np.sqrt(_stillness(flights))[..., None]
+        root = np.sqrt(still)[..., None]
         b = (missed[..., some] * root).reshape(-1, len(some))
         root = root * scales[..., some[:1]]
         a = (rows * root).reshape(-1, rows.shape[-1])
@@ -220,7 +222,16 @@ _CLEARLY = 0.6  # of the cost of the other kind of control: no tie
 _POSSIBLE = 2.0  # times the better one's cost: the logs do not rule it out
 _MORE: Final = 0.03  # of the gap
 _CHOSEN: Final = 3  # stretches that the control is chosen on: those with most of the gap
-_BEGUN: Final = 5  # stretches that rotors are first fitted to: those that move most
+_BEGUN, _FITTED = 5, 8  # stretches that rotors are fitted to, first and last: those that move most
+
+
+class _Flown(NamedTuple):
+    """Inputs as they were flown, where an engine settles there, and its run once there is one."""
+
+    u: FloatArray
+    steady: FloatArray
+    air: FloatArray
+    run: list[FloatArray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,7 +240,7 @@ class GreyBoxEmulator:
 
     settled: SettledModel
     engine: TwoSpool
-    _own: list[FloatArray] = field(default_factory=list, init=False, repr=False)
+    _flown: list[_Flown] = field(default_factory=list, init=False, repr=False)
 
     def run(
         self,
@@ -244,25 +255,38 @@ class GreyBoxEmulator:
         `shift`, and starts where flight `r % flights` does, moved by what other inputs and the
         shift change in equilibrium.
         """
+        flown = self._of(flights)
         own = given is flights.u and shift is None and _is_simulated(pace, len(given))
-        if own and self._own and self._own[0] is given:
-            return self._own[1]
+        if own and flown.run:
+            return flown.run[0]
         order, count = _order(flights.signals), len(flights.u)
         paces = np.stack(pace or as_simulated(len(given)), axis=1)
         rows, which = np.arange(len(paces)) % count, np.arange(len(paces)) % len(given)
-        steady, air = self.settled.outputs(given), np.log(flights.signals.thin_air(given))
+        steady, air = flown.steady, flown.air
+        if given is not flights.u:
+            steady, air = self._settles(flights.signals, given)
         load = np.zeros_like(air)
         if shift is not None:
             steady, air, load = steady[which] + shift.settled, air[which], shift.load
             which = np.arange(len(paces))
-        flown_to = self.settled.outputs(flights.u[:, 0])
-        start = flights.y[rows, 0] + steady[which, 0] - flown_to[rows]
-        flown = (_picked(steady, order), air, load, _picked(start, order))
-        found = self.engine.free_run(flown, which, paces, order.index(flights.signals.hot))
+        start = flights.y[rows, 0] + steady[which, 0] - flown.steady[rows, 0]
+        into = (_picked(steady, order), air, load, _picked(start, order))
+        found = self.engine.free_run(into, which, paces, order.index(flights.signals.hot))
         y = _back(found, order, len(flights.signals.outputs))
         if own:  # every effect is compared with it
-            self._own[:] = given, y
+            flown.run.append(y)
         return y
+
+    def _of(self, flights: Flights) -> _Flown:
+        """Where it settles in flights as they were flown: computed once."""
+        if not (self._flown and self._flown[0].u is flights.u):
+            steady, air = self._settles(flights.signals, flights.u)
+            self._flown[:] = [_Flown(flights.u, steady, air, [])]
+        return self._flown[0]
+
+    def _settles(self, signals: Signals, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Settled outputs (blocks, time, outputs) and the logarithm of thin air (blocks, time)."""
+        return self.settled.outputs(u), np.log(signals.thin_air(u))
 
     def free_run(self, flights: Flights) -> FloatArray:
         """Its own outputs (flights, time, outputs) from each flight's first sample on."""
@@ -291,9 +315,7 @@ def fit_emulators(flights: Flights) -> tuple[GreyBoxEmulator, ...]:
     signals = flights.signals
     order = _order(signals)
     settled = fit_settled(flights)
-    moves = np.gradient(flights.y[..., order[1]], axis=1) ** 2
-    some = few(flights, *stretches(flights, moves, _BEGUN))
-    course = _course(some, settled)
+    course = _course(_moving(flights, _BEGUN), settled)
     two = order[0] != order[1]
     kinds = (GOVERNED_FAN, GOVERNED_CORE) if signals.governed and two else (GOVERNED_CORE,)
     begun = [fit_two_spool(course, kind) for kind in kinds]
@@ -334,9 +356,15 @@ def _finished(flights: Flights, begun: GreyBoxEmulator) -> tuple[GreyBoxEmulator
     With the robust cost of the speeds.
     """
     settled = corrected(begun.settled, flights, flights.y - begun.free_run(flights))
-    course = _course(flights, settled)
+    course = _course(_moving(flights, _FITTED), settled)
     engine, cost = fit_two_spool(course, begun.engine.governed, begun.engine)
     return GreyBoxEmulator(settled, engine), cost
+
+
+def _moving(flights: Flights, most: int) -> Flights:
+    """Stretches as flights, those in which the core moves most."""
+    core = flights.y[..., _order(flights.signals)[1]]
+    return few(flights, *stretches(flights, np.gradient(core, axis=1) ** 2, most))
 
 
 def _course(flights: Flights, settled: SettledModel) -> Course:

@@ -285,8 +285,15 @@ class Frame:
         ]
 
     def fit(self, nodes: Sequence[Node]) -> Single:
-        """The best of the nodes of one effect."""
-        return min(self.fits(nodes), key=lambda one: one.solved.cost)
+        """The best of the nodes of one effect by Schwarz's criterion: some have fewer slopes."""
+        samples = self.record.independent
+
+        def criterion(one: Single) -> float:
+            return float(
+                samples * np.log(self.energy(one.solved)) + one.node.size * np.log(samples)
+            )
+
+        return min(self.fits(nodes), key=criterion)
 
     def refined(self, one: Single, dictionary: Dictionary, rounds: int = 2) -> Single:
         """The same effect with nodes where its steps end."""

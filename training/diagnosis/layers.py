@@ -277,7 +277,8 @@ def compound_fits(setting: Setting, others: Sequence[Single]) -> tuple[Frame, li
 def _evidence(frame: Frame, one: Single, spread: float) -> float:
     """What an effect gains, in units of what it gains where none acts."""
     gain = (frame.none.cost - one.solved.cost) / one.solved.tau
-    count = len(one.node.parameters) + one.node.switches
+    chosen = sum(p.all_or_nothing for p in one.node.parameters)
+    count = len(one.node.free) + chosen + one.node.switches
     return float(gain / spread - PER_PARAMETER * (count - 1))
 
 

@@ -180,11 +180,13 @@ def _assumed(evidence: Evidence, left: str, *, claims: bool) -> _Answers:
         chances = log_softmax(chances)
     known = dict(zip(names, np.exp(chances[:-2]).tolist(), strict=True))
     none, unknown = np.exp(chances[-2:]).tolist()
+    if sum(known.values()) <= none + unknown or not claims:
+        return _Answers(known, none, unknown, [], None)
     best = evidence.singles[int(np.argmax(chances[:-2]))]
     same = alike(evidence.frame, best, evidence.singles, setting.dictionary)
     one_of = [best.name, *same]
     leading = sum(known[name] for name in one_of)
-    if leading <= none + unknown or not claims:
+    if leading <= none + unknown:
         return _Answers(known, none, unknown, [], None)
     known |= {name: known[name] / leading * setting.odds.sure(leading) for name in one_of}
     first = Layer(best, (), float(chances[-2]), 0.0, same)
@@ -319,9 +321,10 @@ def _one(
         node, theta = single.node, single.theta
         spread, freedom = np.zeros(len(theta)), np.full(len(theta), np.inf)
         spread[list(node.free)] = np.sqrt(np.maximum(np.diag(single.solved.covariance), 0.0))
+    acting = [j for j, p in enumerate(node.parameters) if j in node.free or theta[j] != p.neutral]
     parameters = {
-        p.name: Interval(*interval(float(v), float(s), p.low, p.high, float(f)))
-        for p, v, s, f in zip(node.parameters, theta, spread, freedom, strict=True)
+        p.name: Interval(*interval(float(theta[j]), float(spread[j]), p.low, p.high, freedom[j]))
+        for j, p in ((j, node.parameters[j]) for j in acting)
     }
     return Weighed(
         name,
@@ -330,7 +333,7 @@ def _one(
         {p.name: p.unit for p in node.parameters},
         float(gain),
         flights,
-        None if name in claimed else _NAMEABLE * float(spread[0]),
+        None if name in claimed else _NAMEABLE * float(spread[acting[0]]),
         tuple(
             f"{name}.{p.name}"
             for p, v in zip(node.parameters, theta, strict=True)

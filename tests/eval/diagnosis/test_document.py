@@ -6,7 +6,7 @@ import math
 import pytest
 
 from eval.diagnosis.document import Evidence, document
-from eval.diagnosis.expected import channel_shrink, held_out, time_shrink
+from eval.diagnosis.expected import channel_shrink, held_out, time_errors, time_shrink
 from eval.diagnosis.where import locate
 from tests.eval.diagnosis.conftest import LAG, NAME
 from training.diagnosis.budget import Interval
@@ -18,12 +18,13 @@ def evidence(make_data, probe, make_budget):
     values = {NAME: {"tau_s": 1.0}}
     held = held_out(values, make_data(probe, flights=2), None)
     after = held_out(values, data, None).after
+    none = time_errors(held.data, held.after, ((), ()))
     return Evidence(
         data,
         make_budget("effects", {NAME: LAG}),
         locate(data, after - data.flights.y),
         after,
-        time_shrink(held.data, held.after, ((), ())),
+        time_shrink(none, none),
         Interval(0.9, 0.8, 1.0),
         channel_shrink(data, after),
         None,

@@ -5,7 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from eval.diagnosis.expected import Other, Sums, expected, held_out, seen, squares, unseen
+from eval.diagnosis.expected import (
+    Other,
+    Sums,
+    expected,
+    held_out,
+    seen,
+    squares,
+    taken_off,
+    unseen,
+)
 
 SAMPLES = 1000.0
 
@@ -60,6 +69,21 @@ def test_nine_of_ten_intervals_hold_what_comes(scatter, count):
         found = expected(every.of(range(count)), Other(new.change, new.samples))
         inside.append(found.low <= 1.0 - new.left.sum() / new.before.sum() <= found.high)
     assert 0.84 <= np.mean(inside) <= 0.99
+
+
+def test_an_effect_takes_something_off_however_unlike_flights_are(make_data, probe):
+    """By its own size in each flight; one that opposes half of the flights takes nothing off."""
+    data = make_data(probe, flights=4)
+    whole = held_out({"sensor_lag:EGT_C": {"tau_s": 1.0}}, data, None).after - data.flights.y
+    flown = np.array([1.0, 0.05, 0.6, 0.02])[:, None, None]
+    part = replace(data, real=data.real - (1.0 - flown) * whole)
+    taken = taken_off(part, data.flights.y + flown * whole, None)
+    assert 0.85 < taken.low < taken.value < 1.02
+    wrong = (np.array([1.0, -1.0, 1.0, -1.0])[:, None, None] - 1.0) * whole
+    assert taken_off(data, data.flights.y + whole, wrong).low < 0.0
+    assert taken_off(data, data.flights.y + whole, -0.5 * whole).value == pytest.approx(
+        0.75, abs=0.03
+    )
 
 
 def test_ends_are_shares_whatever_is_left():

@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from eval.diagnosis.expected import channel_shrink, held_out, pooled_share, squares, time_shrink
+from eval.diagnosis.expected import (
+    channel_shrink,
+    held_out,
+    pooled_share,
+    squares,
+    time_errors,
+    time_shrink,
+)
 from eval.diagnosis.flights import events_of
 from training.diagnosis.metric import TOLERANCE
 
@@ -37,10 +44,13 @@ def test_rms_and_times_shrink_on_the_channel_of_the_effect(make_data, probe):
     rows = channel_shrink(data, after)
     assert rows["EGT_C"].after < 0.1 * rows["EGT_C"].before
     assert rows["N1_pct"].after == rows["N1_pct"].before
-    times = time_shrink(data, after, events_of(data))
+    events = events_of(data)
+    before, then = (time_errors(data, y, events) for y in (data.flights.y, after))
+    times = time_shrink(before, then)
     assert times["EGT_C"].events > 10
     assert times["EGT_C"].Tt_after_s < 0.2 * times["EGT_C"].Tt_before_s
-    assert np.isnan(time_shrink(data, after, ((), (), (), ()))["EGT_C"].Ti_after_s)
+    none = time_errors(data, after, ((), (), (), ()))
+    assert np.isnan(time_shrink(none, none)["EGT_C"].Ti_after_s)
 
 
 def test_no_more_than_all_of_a_gap_is_taken_away():

@@ -62,6 +62,35 @@ def test_a_planted_fault_is_first_with_its_size_inside_the_interval(name, flight
     )
 
 
+@pytest.mark.parametrize("bled", [("NAI",), ("ECS", "NAI")])
+def test_a_bleed_has_the_parameters_of_the_switches_that_act(bled, flights):
+    steps = np.arange(flights.u.shape[1])
+    on = np.stack([(steps // 170 + f) % 2 for f in range(4)]), np.tile(steps // 230 % 2, (4, 1))
+    u = np.concatenate([flights.u, np.stack(on, axis=-1)], axis=-1)
+    names = ("TRA_deg", "ECS", "NAI")
+    signals = replace(flights.signals, inputs=names, active=names)
+    switched = replace(flights, signals=signals, u=u.astype(float))
+    bleed = effect("bleed_extraction")
+    parameters = bleed.parameters(signals)
+    true = {f"{name}_EGT_C": 20.0 for name in bled}
+    theta = np.array([[true.get(p.name, 0.0) for p in parameters]])
+    dictionary = Dictionary([bleed], switched, AsItIs())
+    frame = frame_of(recorded(switched, respond([(bleed, theta)], switched, None)[0]))
+    found = frame.refined(frame.fit(dictionary.nodes[bleed.name]), dictionary)
+    acting = {parameters[j].name.partition("_")[0] for j in found.node.free} - {"loss"}
+    assert acting == {*bled}
+    assert found.node.size == 3 * len(bled)
+    values = dict(zip((p.name for p in parameters), found.theta, strict=True))
+    assert values["NAI_EGT_C"] == pytest.approx(20.0, abs=1.0)
+
+
+class AsItIs:
+    """An engine that no load moves."""
+
+    def run(self, flights, given, pace=None, _shift=None):
+        return flights.y[np.arange(len(given if pace is None else pace.limit)) % len(flights.y)]
+
+
 def test_the_shape_of_a_small_effect_is_found_too(flights):
     fuel = replace(flights, signals=replace(flights.signals, driver="FF_kgph"))
     soak = effect("heat_soak")
