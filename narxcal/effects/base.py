@@ -272,13 +272,10 @@ class Effect:
     def acting(self, signals: Signals) -> list[tuple[int, ...]]:
         """Places of the parameters with slopes, of all shapes and of each that may act alone."""
         every = [j for j, p in enumerate(self.parameters(signals)) if not p.all_or_nothing]
-        shapes = [shape for shape, _ in self._terms(signals)]
-        kinds = dict.fromkeys(shapes) if self.apart else {}
-        absent = [
-            {len(self.fixed) + j for j, other in enumerate(shapes) if other != one} for one in kinds
-        ]
-        found = [tuple(j for j in every if j not in without) for without in (set[int](), *absent)]
-        return list(dict.fromkeys(found))
+        shapes = dict(enumerate((shape for shape, _ in self._terms(signals)), len(self.fixed)))
+        alone = dict.fromkeys(shapes.values()) if self.apart else ()
+        some = [tuple(j for j in every if shapes.get(j, one) == one) for one in alone]
+        return list(dict.fromkeys([tuple(every), *some]))
 
     def applies(self, signals: Signals) -> bool:
         """Whether the signals hold what the effect acts on."""

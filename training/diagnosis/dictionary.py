@@ -8,6 +8,7 @@ linearisation right (Gauss-Newton by nodes): everything else is inner products.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -79,13 +80,19 @@ class Dictionary:
         itself: Emulator | None = None,
     ) -> None:
         self._flights, self._emulator, self._itself = flights, emulator, itself
-        self.nodes: dict[str, list[Node]] = {}
-        for effect in effects:
-            parameters = effect.parameters(flights.signals)
-            every, *some = effect.acting(flights.signals)
-            starts = np.array(effect.nodes(flights.signals))
-            nodes = self._run(effect, parameters, starts, every)
-            self.nodes[effect.name] = nodes + [one.of(free) for free in some for one in nodes]
+        # Compiled runs and large arrays release Python's lock; a simulator may not bear two runs.
+        self.threads = None if itself is None else 1
+        with ThreadPoolExecutor(self.threads) as pool:
+            names = [effect.name for effect in effects]
+            self.nodes = dict(zip(names, pool.map(self._begun, effects), strict=True))
+
+    def _begun(self, effect: Effect) -> list[Node]:
+        """Nodes at the starts of an effect, of all its shapes and of each that may act alone."""
+        signals = self._flights.signals
+        every, *some = effect.acting(signals)
+        starts = np.array(effect.nodes(signals))
+        nodes = self._run(effect, effect.parameters(signals), starts, every)
+        return nodes + [one.of(free) for free in some for one in nodes]
 
     def add(self, node: Node, theta: FloatArray) -> Node | None:
         """A further node of the same effect at `theta`; None where there is one already."""

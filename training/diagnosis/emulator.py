@@ -25,7 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from scipy.signal import lfilter
@@ -225,22 +225,13 @@ _CHOSEN: Final = 3  # stretches that the control is chosen on: those with most o
 _BEGUN, _FITTED = 5, 8  # stretches that rotors are fitted to, first and last: those that move most
 
 
-class _Flown(NamedTuple):
-    """Inputs as they were flown, where an engine settles there, and its run once there is one."""
-
-    u: FloatArray
-    steady: FloatArray
-    air: FloatArray
-    run: list[FloatArray]
-
-
 @dataclass(frozen=True, eq=False)
 class GreyBoxEmulator:
     """Settled values and the two-spool engine that moves between them."""
 
     settled: SettledModel
     engine: TwoSpool
-    _flown: list[_Flown] = field(default_factory=list, init=False, repr=False)
+    _flown: list[FloatArray] = field(default_factory=list, init=False, repr=False)
 
     def run(
         self,
@@ -255,34 +246,29 @@ class GreyBoxEmulator:
         `shift`, and starts where flight `r % flights` does, moved by what other inputs and the
         shift change in equilibrium.
         """
-        flown = self._of(flights)
+        if not (self._flown and self._flown[0] is flights.u):
+            self._flown[:] = [flights.u, *self._settles(flights.signals, flights.u)]
+        _, flown_to, flown_air, *known = self._flown
         own = given is flights.u and shift is None and _is_simulated(pace, len(given))
-        if own and flown.run:
-            return flown.run[0]
+        if own and known:
+            return known[0]
         order, count = _order(flights.signals), len(flights.u)
         paces = np.stack(pace or as_simulated(len(given)), axis=1)
         rows, which = np.arange(len(paces)) % count, np.arange(len(paces)) % len(given)
-        steady, air = flown.steady, flown.air
+        steady, air = flown_to, flown_air
         if given is not flights.u:
             steady, air = self._settles(flights.signals, given)
         load = np.zeros_like(air)
         if shift is not None:
             steady, air, load = steady[which] + shift.settled, air[which], shift.load
             which = np.arange(len(paces))
-        start = flights.y[rows, 0] + steady[which, 0] - flown.steady[rows, 0]
+        start = flights.y[rows, 0] + steady[which, 0] - flown_to[rows, 0]
         into = (_picked(steady, order), air, load, _picked(start, order))
         found = self.engine.free_run(into, which, paces, order.index(flights.signals.hot))
         y = _back(found, order, len(flights.signals.outputs))
         if own:  # every effect is compared with it
-            flown.run.append(y)
+            self._flown.append(y)
         return y
-
-    def _of(self, flights: Flights) -> _Flown:
-        """Where it settles in flights as they were flown: computed once."""
-        if not (self._flown and self._flown[0].u is flights.u):
-            steady, air = self._settles(flights.signals, flights.u)
-            self._flown[:] = [_Flown(flights.u, steady, air, [])]
-        return self._flown[0]
 
     def _settles(self, signals: Signals, u: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Settled outputs (blocks, time, outputs) and the logarithm of thin air (blocks, time)."""

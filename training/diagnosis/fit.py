@@ -330,6 +330,16 @@ class Frame:
         other.none = solve(other.grams, no_columns(other.grams))
         return other
 
+    def within_build(self, one: Single) -> bool:
+        """Whether an effect does no more than the most that builds differ by in the same way."""
+        noise = self.nuisances
+        own = np.array([name == one.name for name in noise.effect])
+        if not noise.limit[own].any():
+            return False
+        weight = self.record.known / self.record.variance
+        most = noise.limit[own] ** 2 @ np.einsum("ftc,kftc->k", weight, noise.columns[own] ** 2)
+        return bool(np.sum(weight * one.response**2) <= most)
+
     def cleaned(self, one: Solved) -> FloatArray:
         """The gap less the nuisances of a fit."""
         return np.asarray(self.gap - np.tensordot(one.nu, self.nuisances.columns, axes=1))

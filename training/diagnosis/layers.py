@@ -251,7 +251,7 @@ def _best(setting: Setting, others: Sequence[Layer], energy: float) -> Layer | N
     """The likeliest effect for what `others` leave, none that is alike to one of them."""
     frame, tried = compound_fits(setting, [one.single for one in others])
     known = {name for one in others for name in one.alike}
-    tried = [one for one in tried if one.name not in known]
+    tried = [one for one in tried if one.name not in known and not frame.within_build(one)]
     if not tried:
         return None
     chances = setting.chances(frame, tried)

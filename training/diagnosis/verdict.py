@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -107,8 +108,10 @@ def weigh(
         noise, variance = learned.nuisances(record), learned.variance(record)
     metric = Metric(record, variance)
     frame = Frame(record, metric, record.gap, noise, assumed=learned is None)
-    singles = [frame.refined(frame.fit(nodes), dictionary) for nodes in dictionary.nodes.values()]
-    singles += unlogged.found(frame)
+    with ThreadPoolExecutor(dictionary.threads) as pool:
+        nodes = dictionary.nodes.values()
+        fits = pool.map(lambda some: frame.refined(frame.fit(some), dictionary), nodes)
+    singles = [*fits, *unlogged.found(frame)]
     setting = Setting(record, variance, noise, dictionary, odds or stored_odds(), learned)
     return Evidence(frame, tuple(singles), *features(frame, singles), setting)
 
@@ -167,11 +170,14 @@ class _Answers(NamedTuple):
 def _assumed(evidence: Evidence, left: str, *, claims: bool) -> _Answers:
     """Probabilities by the logit; layers on the likeliest effect.
 
-    No layers without `claims`, or where none and unknown together are likelier than it and those
-    alike to it. Of this very engine only noise is left where nothing acts.
+    What is within what builds differ by in the same way is no effect. No layers without `claims`,
+    or where none and unknown together are likelier than it and those alike to it. Of this very
+    engine only noise is left where nothing acts.
     """
     names, setting = [one.name for one in evidence.singles], evidence.setting
     chances = setting.odds.first(names, evidence.effects, evidence.case)
+    of_build = [evidence.frame.within_build(one) for one in evidence.singles]
+    chances = log_softmax(np.where([*of_build, False, False], -np.inf, chances))
     if evidence.energy < _NOTHING * evidence.frame.floor:
         chances = np.full_like(chances, -np.inf)
         chances[-2] = 0.0

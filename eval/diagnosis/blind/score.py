@@ -22,7 +22,6 @@ from eval.report.style import NOTHING
 from narxcal.support.errors import ConfigError, DataError
 
 SCHEMA: Final = "narxcal.blind_score/2"
-FIVE: Final = ("top-1", "exact", "pairs", "nulls", "calibration")
 _BINS: Final = 5
 Cases = Sequence[Outcome]
 
@@ -119,7 +118,6 @@ def scored(outcomes: Cases, plans: Mapping[str, Any]) -> dict[str, Any]:
                 ("by_folder", lambda o: o.name.rpartition("/")[0]),
             )
         },
-        "five": five(outcomes),
         "confusion": confusion(outcomes),
         "outcomes": [_outcome(each) for each in outcomes],
     }
@@ -204,22 +202,6 @@ def _of_altered(altered: Cases) -> list[Measure]:
         Measure("altered", "other claims per altered flight", mean(o.others for o in put_in)),
         Measure("altered", "unaltered claimed", rate(o.claims for o in altered if o not in put_in)),
     ]
-
-
-def five(outcomes: Cases) -> dict[str, float]:
-    """Five measures that sum a product up, and their mean; NaN of those that no case has."""
-    singles = [o for o in outcomes if o.nameable and o.kind == "single"]
-    claims = [o for o in outcomes if o.claims and not o.altered]
-    sure, right = [o.sureness for o in claims], [o.said in o.true_effects for o in claims]
-    values = (
-        mean(float(o.found) for o in singles),
-        mean(float(o.exact) for o in singles),
-        mean(float(o.exact) for o in outcomes if o.nameable and o.kind == "pair"),
-        mean(float(not o.claims) for o in outcomes if o.kind == "null"),
-        1.0 - calibration_error(sure, right),
-    )
-    found = dict(zip(FIVE, values, strict=True))
-    return found | {"mean": mean(v for v in values if math.isfinite(v))}
 
 
 def confusion(outcomes: Cases) -> dict[str, dict[str, int]]:

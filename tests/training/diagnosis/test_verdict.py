@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 
+from narxcal.effects import effect, respond
 from tests.training.diagnosis.conftest import flights_of, recorded
 from training.diagnosis.budget import Phases
 from training.diagnosis.layers import FEATURES, OF_CASE, Odds, prior
@@ -43,6 +44,20 @@ def test_a_shift_that_builds_differ_by_is_none_and_an_effect_of_this_very_engine
     )
     assert same.kind in ("effects", "ambiguous")
     assert same.effects[0].partition(":")[0] in ("deterioration", "sensor_bias", "sensor_gain")
+
+
+@pytest.mark.parametrize(
+    ("tau_s", "build", "within"), [(0.05, 1.0, True), (0.3, 1.0, False), (0.05, 0.0, False)]
+)
+def test_a_lag_that_probes_of_one_type_differ_by_is_no_effect(flights, tau_s, build, within):
+    lag = effect("sensor_lag:EGT_C")
+    record = recorded(flights, respond([(lag, np.array([[tau_s, 0.0]]))], flights, None)[0])
+    found = weigh(record, Engines(NoEmulator()), NullModel(build=build))
+    one = next(each for each in found.singles if each.name == lag.name)
+    assert one.theta[0] == pytest.approx(tau_s, rel=0.1)
+    assert found.frame.within_build(one) == within
+    named = answer(record, build).verdict.effects
+    assert (named == ()) if within else (named[0] in (lag.name, "time_skew:EGT_C"))
 
 
 def by_odds(record, none, unknown):

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from eval.diagnosis.blind.score import (
-    FIVE,
     calibration_error,
     confusion,
-    five,
     mean,
     rate,
     render,
@@ -122,18 +120,6 @@ def test_altered_flights_count_by_themselves(outcome, answer):
     assert found["other claims per altered flight"] == pytest.approx(1 / 4)
     assert found["unaltered claimed"][:2] == (0, 1)
     assert found["nulls claimed"].of == 0
-    measures = five(cases)
-    assert (measures["top-1"], measures["exact"], measures["pairs"]) == (1.0, 0.5, 0.0)
-    assert measures["nulls"] == 1.0
-    assert math.isnan(measures["calibration"])
-    assert measures["mean"] == pytest.approx(2.5 / 4)
-
-
-def test_the_five_measures_and_their_mean(outcomes):
-    found = five(outcomes)
-    assert tuple(found) == (*FIVE, "mean")
-    assert [found[name] for name in FIVE] == pytest.approx([1 / 3, 1 / 3, 1.0, 0.5, 0.5])
-    assert found["mean"] == pytest.approx(8 / 15)
 
 
 def test_several_engines_stand_side_by_side(outcomes, outcome):
