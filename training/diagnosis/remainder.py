@@ -2,8 +2,9 @@ r"""Where what no effect explains lies, and how large it is there.
 
 What the nuisances leave is sorted over power, altitude and time of samples at rest, and over the
 phases of moves. In a bin, its mean over units, m +- t s / sqrt(n) by Student's distribution, is
-beyond noise and build where its nearer end is farther from 0 than the standard deviation that the
-priors of the nuisances N give there, (mean of sum_k N_k^2)^(1/2).
+beyond noise and build where its nearer end is farther from 0 than the standard deviation that what
+builds differ by, N, has there, (mean of sum_k N_k^2)^(1/2), with a thousandth of the range. Offsets
+and starts are of a form that is known, and taken off: nothing that is left can be theirs.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ from narxcal.effects.base import unit
 from narxcal.support.arrays import BoolArray, FloatArray, IntArray
 from training.diagnosis.budget import Phases
 from training.diagnosis.fit import Frame
-from training.diagnosis.metric import Record
+from training.diagnosis.metric import TOLERANCE, Record
+from training.diagnosis.nuisances import BUILD, SMALL
 
 _BINS: Final = 5
 _FEWEST_S: Final = 5.0  # of a bin in a unit
@@ -41,7 +43,8 @@ def largest_left(frame: Frame, phases: Phases) -> str:
     Nuisances that imitate a part of it spread the rest: said is how large the gap itself is.
     """
     record, left = frame.record, frame.cleaned(frame.none)
-    allowed = (frame.nuisances.columns**2).sum(axis=0)
+    of_build = np.isin(frame.nuisances.kind, (BUILD, SMALL))
+    allowed = (frame.nuisances.columns[of_build] ** 2).sum(axis=0) + (TOLERANCE * record.span) ** 2
     most, said = 0.0, ""
     for each in _sorted(record, phases):
         for c, name in enumerate(record.flights.signals.outputs):

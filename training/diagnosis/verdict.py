@@ -271,12 +271,11 @@ def _named(found: _Answers) -> Verdict:
 
 def _unnamed(found: _Answers, evidence: Evidence, left: str, refused: str) -> Verdict:
     """Nothing acts where no other answer is likelier and nothing left is beyond noise and build."""
-    learned = evidence.setting.learned is not None
     best = max(found.known, key=lambda name: found.known[name])
     likelier = found.known[best] > max(found.none, found.unknown)
-    if not left and (learned or refused or (found.none >= found.unknown and not likelier)):
+    if not (left or likelier) and found.none >= found.unknown:
         what = "what this simulator gets wrong by itself"
-        if not learned:
+        if evidence.setting.learned is None:
             what = f"what builds and flights differ by{_within_build(evidence.frame)}"
         reason = "; ".join(filter(None, (f"nothing acts beyond {what}", refused)))
         return Verdict("none", (), (), reason)

@@ -24,9 +24,10 @@ class NoEmulator:
         return flights.y[rows] + (0.0 if shift is None else shift.settled)
 
 
-def answer(record, build=1.0, odds=None):
+def answer(record, build=1.0, odds=None, refused=""):
     phases = Phases(("steady",), np.zeros(record.unit.shape, dtype=int))
-    return concluded(weigh(record, Engines(NoEmulator()), NullModel(build=build), odds), phases)
+    evidence = weigh(record, Engines(NoEmulator()), NullModel(build=build), odds)
+    return concluded(evidence, phases, refused=refused)
 
 
 def test_a_shift_that_builds_differ_by_is_none_and_an_effect_of_this_very_engine(flights):
@@ -60,14 +61,14 @@ def test_a_lag_that_probes_of_one_type_differ_by_is_no_effect(flights, tau_s, bu
     assert (named == ()) if within else (named[0] in (lag.name, "time_skew:EGT_C"))
 
 
-def by_odds(record, none, unknown):
+def by_odds(record, none, unknown, refused=""):
     """The answer where none and unknown are so many times as likely as the best effect."""
     found = weigh(record, Engines(NoEmulator()))
     names = [one.name for one in found.singles]
     lead = max(row[0] + prior(n) for n, row in zip(names, found.effects, strict=True))
     flat, case = (0.0,) * len(FEATURES), (0.0,) * len(OF_CASE)
     scores = [(lead + np.log(times), *case[1:]) for times in (none, unknown)]
-    return answer(record, odds=Odds((1.0, *flat[1:]), *scores, flat, case))
+    return answer(record, 1.0, Odds((1.0, *flat[1:]), *scores, flat, case), refused)
 
 
 @pytest.mark.parametrize(
@@ -86,6 +87,14 @@ def test_nothing_acts_only_where_no_other_answer_is_likelier(flights, none, unkn
         f"library lacks ({100.0 * found.unknown:.0f} %)",
     }
     assert found.verdict.reason.startswith(reason[none])
+
+
+@pytest.mark.parametrize(("none", "kind"), [(0.6, "unknown"), (1.5, "none")])
+def test_a_refused_effect_that_is_likelier_than_none_leaves_the_answer_open(flights, none, kind):
+    refused = "the best candidate is play, which takes -5 % to 54 % off what did not fit it"
+    found = by_odds(recorded(flights, flights.y + 3.5 * SHIFT), none, 0.1, refused).verdict
+    assert (found.kind, found.effects) == (kind, ())
+    assert found.reason.endswith(refused)
 
 
 PLACES = {  # where EGT is off, by N1 and the minutes of a flight, and what is said of it
