@@ -354,7 +354,8 @@ def _with_held_out(
     if checked is not None:
         there = replace(there, emulator_rmse=_errors(checked, data))
     events = events_of(data)
-    before, after = (time_errors(data, y, events) for y in (data.flights.y, there.after))
+    before = time_errors(data, data.flights.y, events)
+    after = time_errors(data, there.after, events) if found.claimed else before
     evidence = replace(evidence, held_out=there, times=time_shrink(before, after))
     # Windows of a load in further flights are found in what was recorded: no prediction.
     if not found.claimed or UNLOGGED_SWITCH.id in found.claimed:

@@ -26,6 +26,7 @@ from training.diagnosis.nuisances import BUILD, SMALL
 _BINS: Final = 5
 _FEWEST_S: Final = 5.0  # of a bin in a unit
 _LEVEL: Final = 0.95  # of Student's distribution: a 90 % interval
+_LEFT: Final = 0.5  # of what builds differ by, RMS: nulls leave less (docs/blind.md)
 _REST: Final = "steady"  # the phase in which nothing moves
 
 
@@ -42,9 +43,7 @@ def largest_left(frame: Frame, phases: Phases) -> str:
 
     Nuisances that imitate a part of it spread the rest: said is how large the gap itself is.
     """
-    record, left = frame.record, frame.cleaned(frame.none)
-    of_build = np.isin(frame.nuisances.kind, (BUILD, SMALL))
-    allowed = (frame.nuisances.columns[of_build] ** 2).sum(axis=0) + (TOLERANCE * record.span) ** 2
+    record, left, allowed = frame.record, frame.cleaned(frame.none), _allowed(frame)
     most, said = 0.0, ""
     for each in _sorted(record, phases):
         for c, name in enumerate(record.flights.signals.outputs):
@@ -53,17 +52,32 @@ def largest_left(frame: Frame, phases: Phases) -> str:
             if energy > most:
                 whole = _bins(record, record.gap[..., c], allowed[..., c], each, c)[0]
                 most, said = energy, _said(name, each, whole)
-    return said or _throughout(record, left, allowed)
+    return said or _throughout(frame)
 
 
-def _throughout(record: Record, left: FloatArray, allowed: FloatArray) -> str:
-    """What is left without a place, by its root mean square, and that of noise and build."""
-    for c, name in enumerate(record.flights.signals.outputs):
-        use = record.known[..., c]
-        square = float(np.mean(left[..., c][use] ** 2)) - record.noise[c] ** 2
-        if square > float(np.mean(allowed[..., c][use])):
-            return f"a {symbol(name)} error of {square**0.5:.2g} {unit(name)} RMS in no one place"
-    return ""
+def _allowed(frame: Frame) -> FloatArray:
+    """Variance (flights, time, outputs) of what builds differ by, and nobody would call a gap."""
+    of_build = np.isin(frame.nuisances.kind, (BUILD, SMALL))
+    columns = frame.nuisances.columns[of_build]
+    return np.asarray((columns**2).sum(axis=0) + (TOLERANCE * frame.record.span) ** 2)
+
+
+def left_of_build(frame: Frame) -> tuple[FloatArray, FloatArray]:
+    """RMS (outputs,) of what the nuisances leave beyond noise, and over that of build."""
+    known, left = frame.record.known, frame.cleaned(frame.none)
+    square = np.mean(left**2, axis=(0, 1), where=known) - frame.record.noise**2
+    rms = np.sqrt(np.maximum(square, 0.0))
+    return rms, rms / np.sqrt(np.mean(_allowed(frame), axis=(0, 1), where=known))
+
+
+def _throughout(frame: Frame) -> str:
+    """The output of which most is left without a place, by its root mean square."""
+    rms, of_build = left_of_build(frame)
+    c = int(np.argmax(of_build))
+    if of_build[c] <= (_LEFT if frame.nuisances.of_build else 1.0):
+        return ""
+    name = frame.record.flights.signals.outputs[c]
+    return f"a {symbol(name)} error of {rms[c]:.2g} {unit(name)} RMS in no one place"
 
 
 def _sorted(record: Record, phases: Phases) -> Iterator[_Sorted]:

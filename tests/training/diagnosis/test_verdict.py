@@ -11,6 +11,7 @@ from training.diagnosis.budget import Phases
 from training.diagnosis.layers import FEATURES, OF_CASE, Odds, prior
 from training.diagnosis.metric import Record
 from training.diagnosis.nuisances import BUILD, OFFSET, SMALL, nuisances
+from training.diagnosis.remainder import left_of_build
 from training.diagnosis.verdict import Engines, NullModel, concluded, weigh
 
 SHIFT = np.array([0.0, 0.15, 6.0])  # of N2 in %, of EGT in K
@@ -112,6 +113,16 @@ def test_what_is_left_beyond_noise_and_build_is_not_nothing_and_has_a_place(flig
     found = by_odds(recorded(flights, y), 1.5, 0.1).verdict
     assert (found.kind, found.effects) == ("unknown", ())
     assert re.fullmatch(f"not in the library: a steady EGT error{words}", found.reason)
+
+
+@pytest.mark.parametrize(("part", "kind"), [(0.4, "none"), (0.6, "unknown")])
+def test_what_is_left_without_a_place_is_compared_with_what_builds_differ_by(flights, part, kind):
+    wave = np.sin(np.arange(flights.y.shape[1]))[:, None] * np.array([0.0, 0.0, 1.0])
+    whole = weigh(recorded(flights, flights.y + 10.0 * wave), Engines(NoEmulator())).frame
+    y = flights.y + 10.0 * wave * part / left_of_build(whole)[1][2]
+    found = by_odds(recorded(flights, y), 50.0, 0.1).verdict
+    assert (found.kind, found.effects) == (kind, ())
+    assert ("degC RMS in no one place" in found.reason) == (kind == "unknown")
 
 
 @pytest.mark.parametrize("shape", ["place", "wave"])
