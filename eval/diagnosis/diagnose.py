@@ -280,7 +280,7 @@ def diagnose_pairs(  # noqa: PLR0913 - what is known of the pairs, each part by 
     stand_in: Emulator = itself or emulator
     flown = data.flights
     evidence = _evidence(data, found, emulator, stand_in)
-    if found.claimed and (refused := _refused(evidence, differences)):
+    if found.claimed and (refused := _refused(evidence, weights.frame)):
         found = concluded(weights, phases, refused=refused)
         evidence = _evidence(data, found, emulator, stand_in)
     data = evidence.data
@@ -298,15 +298,15 @@ def diagnose_pairs(  # noqa: PLR0913 - what is known of the pairs, each part by 
     return Answer(document(evidence, pairs), evidence)
 
 
-def _refused(evidence: Evidence, differences: NullModel) -> str:
+def _refused(evidence: Evidence, frame: Frame) -> str:
     """Why effects are no answer that take nothing off flights, or parts of few, that did not fit.
 
-    The lower end of the share's interval may not read 0 %; the share itself where the gap is for
-    the most part what a simulator was learned to get wrong by itself.
+    The lower end of what they take has to be more than what is left in one independent sample.
     """
     found = evidence.budget
-    taken = taken_off(evidence.data, evidence.after, found.by_others)
-    if round(taken.low if differences.learned is None else taken.value, 2) > 0.0:
+    change = evidence.after - evidence.data.flights.y
+    taken = taken_off(frame, change if found.by_others is None else change + found.by_others)
+    if taken.low * frame.whole > frame.none.tau:
         return ""
     names = listed([in_words(name) for name in found.claimed])
     ends = f"{percent(taken.low)} to {percent(taken.high)}"

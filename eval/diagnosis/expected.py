@@ -29,9 +29,10 @@ from narxcal.effects.base import Signals
 from narxcal.effects.library import effect, name_of
 from narxcal.effects.running import Emulator, Flights, Setting, respond
 from narxcal.effects.steady import UNLOGGED_SWITCH
-from narxcal.support.arrays import FloatArray, IntArray
+from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError
 from training.diagnosis.budget import Interval
+from training.diagnosis.fit import Frame
 from training.diagnosis.metric import Record
 from training.responses.response import Transient, TransientConfig, measure_transient
 
@@ -131,27 +132,18 @@ def held_out(values: Values, data: Record, emulator: Emulator | None) -> HeldOut
     return HeldOut(data, share, channel_shrink(data, after), after)
 
 
-def squares(
-    data: Record, after: FloatArray, unit: IntArray | None = None
-) -> tuple[FloatArray, FloatArray]:
+def squares(data: Record, after: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Sums of squares of the gap above the noise per flight, before and `after`: (flights,) each.
 
     Plain differences of recorded and simulated outputs, each channel over
-    `noise^2 + (0.001 range)^2`, so that anybody can form them from the logs. Per `unit`
-    (flights, time) where that is given.
+    `noise^2 + (0.001 range)^2`, so that anybody can form them from the logs.
     """
     floor = np.isfinite(data.difference) * data.noise**2
     before, left = (
-        _summed(np.nansum((each**2 - floor) / data.variance, axis=2), unit)
+        np.nansum((each**2 - floor) / data.variance, axis=(1, 2))
         for each in (data.difference, data.real - after)
     )
     return before, left
-
-
-def _summed(values: FloatArray, unit: IntArray | None) -> FloatArray:
-    if unit is None:
-        return np.asarray(values.sum(axis=1))
-    return np.bincount(unit[unit >= 0], values[unit >= 0]).astype(np.float64)
 
 
 def pooled_share(before: FloatArray, left: FloatArray) -> float:
@@ -302,22 +294,21 @@ def _within(share: float, reach: float) -> Interval:
     return Interval(share, max(-1.0, low), min(1.0, high))
 
 
-def taken_off(data: Record, after: FloatArray, by_others: FloatArray | None) -> Interval:
-    """Share of the squared gap that effects take off each unit by what the other units give.
+def taken_off(frame: Frame, change: FloatArray) -> Interval:
+    """Share of the squared gap that a `change` (flights, time, outputs) takes off its units.
 
-    Of the energy m of what they change in a unit they take a m + e off, with e of a variance that
-    goes with m: whether a is above zero does not depend on how much a flight lets effects do. With
-    a 90 % interval by Student's distribution.
+    It is what effects do in each unit by what the other units give. Of its energy m in a unit it
+    takes a m + e off, with e of a variance that goes with m: whether a is above zero depends
+    neither on how much a flight lets effects do, nor on how large the gap is beside them. With a
+    90 % interval by Student's distribution.
     """
-    unfitted = after if by_others is None else after + by_others
-    before, left = squares(data, unfitted, data.unit)
-    change = (unfitted - data.flights.y) ** 2 / data.variance
-    moved = np.maximum(_summed(np.where(data.known, change, 0.0).sum(axis=2), data.unit), _NONE)
-    taken, count = before - left, len(before)
+    inner, _, toward = frame.inner(change[None])
+    moved, count = np.maximum(inner[:, 0, 0], _NONE), len(inner)
+    taken = 2.0 * toward[:, 0] - moved
     a = float(taken.sum() / moved.sum())
     spread = np.sqrt(np.sum((taken - a * moved) ** 2 / moved) / max(count - 1, 1) / moved.sum())
     reach = float(t.ppf(_LEVEL, max(count - 1, 1)) * spread)
-    scale = float(moved.sum() / max(before.sum(), _NONE))
+    scale = float(moved.sum()) / frame.whole
     return Interval(a * scale, (a - reach) * scale, (a + reach) * scale)
 
 

@@ -248,6 +248,11 @@ class Frame:
         """Energy of the noise."""
         return float(self.grams.floor.sum())
 
+    @property
+    def whole(self) -> float:
+        """Energy of the gap beyond noise."""
+        return max(float(self.grams.dd.sum()) - self.floor, _LEAST[1])
+
     def energy(self, found: Solved) -> float:
         """Energy beyond noise, with the price of the nuisances."""
         share, least = _LEAST

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,9 @@ from data_prep.log import Log
 from eval.diagnosis import diagnose, flights
 from eval.diagnosis.pairs import pair_logs
 from training.diagnosis.budget import Budget, Cause, Interval, Verdict, Weighed
+from training.diagnosis.fit import Frame
+from training.diagnosis.metric import Metric, assumed_variance
+from training.diagnosis.nuisances import nuisances
 
 RATE_HZ = 16.0
 
@@ -107,6 +111,12 @@ NAME = "sensor_lag:EGT_C"
 LAG = {"tau_s": Interval(1.0, 0.9, 1.1)}
 
 
+def weighed(record, *_differences):
+    """What is known of a record before any effect is weighed."""
+    metric = Metric(record, assumed_variance(record))
+    return SimpleNamespace(frame=Frame(record, metric, record.gap, nuisances(record)))
+
+
 class NoEmulator:
     """Stands in for the emulator, which effects on sensors do not need."""
 
@@ -127,7 +137,7 @@ def answer(monkeypatch, make_budget):
             return replace(nothing, verdict=verdict) if doubts or refused else found
 
         monkeypatch.setattr(diagnose, "fit_emulators", lambda _flights: (NoEmulator(),))
-        monkeypatch.setattr(diagnose, "weigh", lambda *_args: None)
+        monkeypatch.setattr(diagnose, "weigh", weighed)
         monkeypatch.setattr(diagnose, "concluded", concluded)
 
     set_to()

@@ -12,7 +12,7 @@ from eval.diagnosis.diagnose import Request, diagnose_folders, diagnose_pairs
 from eval.diagnosis.expected import expected, seen, unseen
 from eval.diagnosis.pairs import pair_logs
 from narxcal.support.errors import ConfigError, DataError
-from tests.eval.diagnosis.conftest import NAME, NoEmulator, lagged
+from tests.eval.diagnosis.conftest import NAME, NoEmulator, lagged, weighed
 from training.diagnosis.budget import Interval
 
 
@@ -140,7 +140,7 @@ def test_what_an_effect_does_on_held_out_flights_the_simulators_own_logs_say(
     """A lever that is read wrong, found at low power, on flights at full power."""
     size = {"throttle_bias": {"bias_deg": Interval(4.0, 3.9, 4.1)}}
     budget = make_budget("effects", size)
-    monkeypatch.setattr(module, "weigh", lambda *_args: None)
+    monkeypatch.setattr(module, "weigh", weighed)
     monkeypatch.setattr(module, "concluded", lambda *_args: budget)
     pairs, held = misread(0.5), misread(1.0)
     found = diagnose_pairs(pairs, held).document

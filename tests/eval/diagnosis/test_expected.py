@@ -15,6 +15,7 @@ from eval.diagnosis.expected import (
     taken_off,
     unseen,
 )
+from tests.eval.diagnosis.conftest import weighed
 
 SAMPLES = 1000.0
 
@@ -77,13 +78,20 @@ def test_an_effect_takes_something_off_however_unlike_flights_are(make_data, pro
     whole = held_out({"sensor_lag:EGT_C": {"tau_s": 1.0}}, data, None).after - data.flights.y
     flown = np.array([1.0, 0.05, 0.6, 0.02])[:, None, None]
     part = replace(data, real=data.real - (1.0 - flown) * whole)
-    taken = taken_off(part, data.flights.y + flown * whole, None)
+    taken = taken_off(weighed(part).frame, flown * whole)
     assert 0.85 < taken.low < taken.value < 1.02
-    wrong = (np.array([1.0, -1.0, 1.0, -1.0])[:, None, None] - 1.0) * whole
-    assert taken_off(data, data.flights.y + whole, wrong).low < 0.0
-    assert taken_off(data, data.flights.y + whole, -0.5 * whole).value == pytest.approx(
-        0.75, abs=0.03
-    )
+    frame = weighed(data).frame
+    assert taken_off(frame, np.array([1.0, -1.0, 1.0, -1.0])[:, None, None] * whole).low < 0.0
+    assert taken_off(frame, 0.5 * whole).value == pytest.approx(0.75, abs=0.03)
+
+
+def test_an_effect_of_a_small_part_of_the_gap_takes_something_off(make_data, probe):
+    """Beside a steady shift of a hundred times its energy, which has nothing to do with it."""
+    data = make_data(probe, flights=4)
+    whole = held_out({"sensor_lag:EGT_C": {"tau_s": 1.0}}, data, None).after - data.flights.y
+    shifted = replace(data, real=data.real + np.array([0.0, 1.0, 0.0]) * data.span)
+    taken = taken_off(weighed(shifted).frame, whole)
+    assert 0.0 < taken.low < taken.high < 0.01
 
 
 def test_ends_are_shares_whatever_is_left():
