@@ -37,7 +37,7 @@ from eval.diagnosis.blind.files import (
     sealed,
     write_log,
 )
-from eval.diagnosis.blind.truth import NOTHING, Channels, Content, Specimen, outputs_of
+from eval.diagnosis.blind.truth import NOTHING, Channels, Content, Flight, Specimen, outputs_of
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ModelError
 from narxcal.support.files import atomic_write_bytes, atomic_write_text, to_json
@@ -82,7 +82,7 @@ def gap_share(
     return 1.0 - after / before if before > 0.0 else 0.0
 
 
-def sized(specimen: Any, flights: Sequence[Any], simulated: Sequence[Channels]) -> Content:
+def sized(specimen: Specimen, flights: Sequence[Flight], simulated: Sequence[Channels]) -> Content:
     """Give the case's content the sizes that come to its share on some flights.
 
     Several effects get equal parts. A share that the largest size does not make is left at that.
@@ -140,8 +140,8 @@ def size_for(measured: Measure, wanted: float, sizes: tuple[float, float]) -> fl
 
 
 def budget(
-    specimen: Any,
-    flights: Sequence[Any],
+    specimen: Specimen,
+    flights: Sequence[Flight],
     content: Content,
     simulated: Sequence[Channels],
     real: Sequence[tuple[Channels, Channels]],
@@ -246,8 +246,8 @@ def make_case(folder: Path, plan: BlindPlan, case: Case) -> Made:
         ) from None
 
 
-def made_from(folder: Path, plan: BlindPlan, specimen: Any) -> Made:
-    """Write the logs of a specimen; `Specimen` says what it has to be able to."""
+def made_from(folder: Path, plan: BlindPlan, specimen: Specimen) -> Made:
+    """Write the logs of a specimen."""
     case = specimen.case
     flights = [specimen.flight(number) for number in range(plan.flights + plan.held_out)]
     simulated = [specimen.simulated(flight) for flight in flights]
@@ -277,7 +277,7 @@ def _written(
     return found
 
 
-def _facts(case: Case, content: Content, flights: Sequence[Any]) -> dict[str, Any]:
+def _facts(case: Case, content: Content, flights: Sequence[Flight]) -> dict[str, Any]:
     """The row of the key, but for what is measured."""
     strange = case.strange
     return {
