@@ -9,8 +9,6 @@ stays in: a flight that is not altered is the null.
 from __future__ import annotations
 
 import csv
-import gzip
-import hashlib
 import io
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -23,6 +21,7 @@ from data_prep.config import ENGINE, LogsConfig
 from data_prep.sources.text_file import open_text
 from data_prep.sources.units import find_unit
 from eval.diagnosis.blind.cases import BlindPlan, case_name, drawn
+from eval.diagnosis.blind.files import write_log
 from eval.diagnosis.blind.make import Made
 from narxcal.channels import channel
 from narxcal.flight_test.signals import first_order
@@ -153,15 +152,13 @@ def make_altered(folder: Path, plan: BlindPlan, logs: LogsConfig, base: Path) ->
     offered = [each for each in ALTERATIONS if each.channel in (*sources, DRIVER)]
     for number, case in enumerate(draw_altered(plan.cases, files, offered, random), start=1):
         name = case_name(plan, number)
-        content = alter(case, logs, driver)
         log = f"real/{case.file.name.removesuffix('.gz')}.gz"
-        (folder / name / log).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name / log).write_bytes(content)
-        yield Made(name, case.row(), {log: hashlib.sha256(content).hexdigest()})
+        digest = write_log(folder / name / log, alter(case, logs, driver))
+        yield Made(name, case.row(), {log: digest})
 
 
-def alter(case: Altered, logs: LogsConfig, driver: str) -> bytes:
-    """The flight's file with its alterations, gzipped; cells of other columns stay as they are."""
+def alter(case: Altered, logs: LogsConfig, driver: str) -> str:
+    """Text of the flight's file with its alterations; cells of other columns stay as they are."""
     rows = _rows(case.file)
     header = rows[0]
     sources = logs.sources(tuple(header))
@@ -187,7 +184,7 @@ def alter(case: Altered, logs: LogsConfig, driver: str) -> bytes:
                     row[column] = f"{value:.8g}"
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)
-    return gzip.compress(text.getvalue().encode(), 6, mtime=0)
+    return text.getvalue()
 
 
 def _rows(file: Path) -> list[list[str]]:

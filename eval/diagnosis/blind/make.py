@@ -39,6 +39,7 @@ from eval.diagnosis.blind.files import (
 )
 from eval.diagnosis.blind.truth import NOTHING, Channels, Content, Flight, Specimen, outputs_of
 from narxcal.support.arrays import FloatArray
+from narxcal.support.csv_text import log_csv
 from narxcal.support.errors import ModelError
 from narxcal.support.files import atomic_write_bytes, atomic_write_text, to_json
 from narxcal.support.parallel import in_processes
@@ -273,7 +274,7 @@ def _written(
         names = FOLDERS[:2] if number < flights else FOLDERS[2:]
         for name, channels in zip(names, both, strict=True):
             log = f"{name}/flight_{number}.csv.gz"
-            found[log] = write_log(folder / log, channels)
+            found[log] = write_log(folder / log, log_csv(channels, 8))
     return found
 
 
