@@ -164,13 +164,12 @@ def _make(options: Namespace, console: Console) -> None:
     with RESULTS.writing(options.out) as folder, console.progress("Flying") as advance:
         if options.sim_logs is not None:
             made = make_log_cases(folder, plan, options.sim_logs)
-            document = write_key(folder, plan, secret, made, advance)
         elif options.altered is not None:
             config, base = read_config(options.altered, None)
             made = make_altered(folder, plan, config.logs, base)
-            document = write_key(folder, plan, secret, made, advance)
         else:
-            document = make_cases(folder, plan, secret, options.jobs, advance)
+            made = make_cases(folder, plan, options.jobs)
+        document = write_key(folder, plan, secret, made, advance)
     console.say(f"Cases: {options.out}. Sealed key: {options.out / KEY}")
     if options.secret is None:
         console.say("The secret is the seed: do not show it to whoever runs the cases.")

@@ -18,7 +18,7 @@ noise. All shares sum to 1; one below 0 opposes the others.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import combinations
 from pathlib import Path
@@ -208,23 +208,22 @@ class Made(NamedTuple):
     logs: dict[str, str]
 
 
-def make_cases(
-    folder: Path, plan: BlindPlan, secret: str, jobs: int = 1, progress: Progress = silent
-) -> dict[str, Any]:
-    """Make all cases of a plan in `folder`, with the key sealed by `secret`; returns the list.
+def make_cases(folder: Path, plan: BlindPlan, jobs: int = 1) -> Iterator[Made]:
+    """Make all cases of a plan in `folder`, several at a time; their bytes depend on it alone.
 
-    The bytes depend on plan and secret alone. The list tells names, flights and digests, and
-    nothing of what is in a case. Raises `ModelError` naming the case that cannot be flown.
+    Raises `ModelError` naming the case that cannot be flown.
     """
     cases = draw_cases(plan)
-    made = in_processes(partial(make_case, folder, plan), cases, min(jobs, len(cases)))
-    return write_key(folder, plan, secret, made, progress)
+    return in_processes(partial(make_case, folder, plan), cases, min(jobs, len(cases)))
 
 
 def write_key(
     folder: Path, plan: BlindPlan, secret: str, cases: Iterable[Made], progress: Progress = silent
 ) -> dict[str, Any]:
-    """Make `cases`, seal their key by `secret`, and write the list of them, which is returned."""
+    """Make `cases`, seal their key by `secret`, and write the list of them, which is returned.
+
+    The list tells names, flights and digests, and nothing of what is in a case.
+    """
     rows: dict[str, Any] = {}
     logs: dict[str, dict[str, str]] = {}
     for number, made in enumerate(cases, start=1):
