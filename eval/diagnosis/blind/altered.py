@@ -45,11 +45,6 @@ class Alteration(NamedTuple):
     parameter: str
     nameable: float
 
-    @property
-    def name(self) -> str:
-        """`id:channel` as in the answers; what drives the engine has no channel."""
-        return self.id if self.channel == DRIVER else f"{self.id}:{self.channel}"
-
     def applied(self, values: FloatArray, time_s: FloatArray, size: float) -> FloatArray:
         """`values` (time,) with the fault of a size, in the unit of the channel."""
         known = np.isfinite(values)
