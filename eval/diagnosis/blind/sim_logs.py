@@ -39,7 +39,7 @@ from eval.diagnosis.blind.truth import (
 )
 from eval.diagnosis.pairs import read_folder
 from narxcal.flight_test.scenario import drawn_windows
-from narxcal.flight_test.signals import first_order
+from narxcal.flight_test.signals import first_order, within
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
 
@@ -68,11 +68,8 @@ def _bleed(flight: Flight, power: FloatArray, size: float) -> Channels:
 
 
 def _hidden(flight: Flight, power: FloatArray, size: float) -> Channels:
-    time_s = np.arange(len(power)) * flight.dt_s
-    on = np.zeros(len(time_s))
-    for start, stop in flight.windows:
-        on[(time_s >= start) & (time_s < stop)] = 1.0
-    return _bled(flight, power, size * on)
+    on = within(np.arange(len(power)) * flight.dt_s, flight.windows)
+    return _bled(flight, power, size * on.astype(np.float64))
 
 
 def _worn(flight: Flight, power: FloatArray, size: float) -> Channels:
