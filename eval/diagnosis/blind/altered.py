@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -51,23 +51,21 @@ class Alteration(NamedTuple):
         if not known.any():
             return values
         complete = np.interp(time_s, time_s[known], values[known])
-        if self.id in ("time_skew", "throttle_delay"):
-            # A driver recorded late is an engine that answers early: a negative delay.
-            late_s = -size if self.channel == DRIVER else size
-            found = np.interp(time_s - late_s, time_s, complete)
-        elif self.id == "sensor_lag":
-            found = first_order(complete, size, float(np.median(np.diff(time_s))))
-        elif self.id == "sensor_bias":
-            found = complete + size
-        elif self.id == "sensor_drift":
-            found = complete + size * (time_s - time_s[0]) / 3600.0
-        elif self.id == "driver_gain":  # the engine gets more than is recorded
-            found = complete / (1.0 + 0.01 * size)
-        else:
-            found = complete * (1.0 + 0.01 * size)
-        return np.where(known, found, np.nan)
+        return np.where(known, _FAULTS[self.id](complete, time_s, size), np.nan)
 
 
+# What a fault makes of readings `y`, complete, at times `t`, by its size.
+_FAULTS: Final[dict[str, Callable[[FloatArray, FloatArray, float], FloatArray]]] = {
+    "time_skew": lambda y, t, size: np.interp(t - size, t, y),
+    # A driver recorded late is an engine that answers early: a negative delay.
+    "throttle_delay": lambda y, t, size: np.interp(t + size, t, y),
+    "sensor_lag": lambda y, t, size: first_order(y, size, float(np.median(np.diff(t)))),
+    "sensor_bias": lambda y, _, size: y + size,
+    "sensor_drift": lambda y, t, size: y + size * (t - t[0]) / 3600.0,
+    "sensor_gain": lambda y, _, size: y * (1.0 + 0.01 * size),
+    # The engine gets more than is recorded.
+    "driver_gain": lambda y, _, size: y / (1.0 + 0.01 * size),
+}
 ALTERATIONS: Final = (
     Alteration("time_skew", "N1_pct", "skew_s", 0.08),
     Alteration("driver_gain", DRIVER, "gain_pct", 2.5),
@@ -92,7 +90,6 @@ class Altered(NamedTuple):
     times: float  # the nameable size
 
     def row(self) -> dict[str, Any]:
-        kind = ("null", "single", "pair")[len(self.parts)]
         effects = [
             {
                 "id": each.id,
@@ -102,7 +99,7 @@ class Altered(NamedTuple):
             for each, size in self.parts
         ]
         return {
-            "kind": kind,
+            "kind": ("null", "single", "pair")[len(self.parts)],
             "style": "altered",
             "engine": "real",
             "effects": effects,
