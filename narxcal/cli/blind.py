@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
-from typing import Final
+from typing import Final, get_args
 
 from eval.diagnosis.blind.altered import make_altered
 from eval.diagnosis.blind.cases import BlindPlan
@@ -73,19 +73,17 @@ def _add_make(parser: ArgumentParser) -> None:
             _PLANNED[key], metavar=metavar, type=kind, default=default, dest=key,
             help=f"{of}default {default:g}",
         )  # fmt: skip
-    parser.add_argument("--style", choices=("line", "enriched", "both"), default="both")
-    parser.add_argument(
-        "--engine",
-        choices=("virtual", "lumped", "all"),
-        default="all",
-        help="component-level engines, lumped ones, or all: every third case lumped (default)",
-    )
-    parser.add_argument(
-        "--build",
-        choices=("scattered", "same"),
-        default="scattered",
-        help="the recorded engine: one of its type (default), or the simulator's own",
-    )
+    for key, text in (
+        ("style", None),
+        (
+            "engine",
+            "component-level engines, lumped ones, or all: every third case lumped (default)",
+        ),
+        ("build", "the recorded engine: one of its type (default), or the simulator's own"),
+    ):
+        field = BlindPlan.model_fields[key]
+        choices = get_args(field.annotation)
+        parser.add_argument(_PLANNED[key], choices=choices, default=field.default, help=text)
     parser.add_argument("--seed", metavar="N", type=seed, default=0, help="default 0")
     parser.add_argument("--secret", metavar="WORD", help="opens the key; the seed if left out")
     add_jobs(parser, "cases")
