@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.optimize import minimize
 from scipy.special import log_softmax, logsumexp
 from sklearn.linear_model import LogisticRegression
@@ -66,12 +67,7 @@ class Choice:
 
     def design(self) -> FloatArray:
         """Features of every answer, (effects + others, ...): of effects, then once per other."""
-        (n, m), c = self.features.shape, len(self.case)
-        found = np.zeros((n + self.others, m + self.others * c))
-        found[:n, :m] = self.features
-        for k in range(self.others):
-            found[n + k, m + k * c : m + (k + 1) * c] = self.case
-        return found
+        return np.asarray(block_diag(self.features, *[self.case] * self.others))
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,11 +124,7 @@ def _second(outcome: Outcome, row: Mapping[str, Any]) -> BoolArray:
 def fitted(choices: Sequence[Choice], around: FloatArray | None = None) -> FloatArray:
     """Weights that make right answers likeliest, with a ridge, `around` values of the first."""
     designs = [one.design() for one in choices]
-    others = [np.zeros(one.others) for one in choices]
-    before = [
-        np.concatenate([[prior(name) for name in one.effects], none])
-        for one, none in zip(choices, others, strict=True)
-    ]
+    before = [np.array([*map(prior, one.effects), *[0.0] * one.others]) for one in choices]
     middle = np.zeros(designs[0].shape[1])
     if around is not None:
         middle[: len(around)] = around
