@@ -126,8 +126,7 @@ class Dose(NamedTuple):
 
 
 Kind = Literal["single", "pair", "null", "outside"]
-Style = Literal["line", "enriched"]
-STYLES: Final[tuple[Style, ...]] = ("line", "enriched")
+STYLES: Final = ("line", "enriched")
 BINS: Final = ((0.02, 0.05), (0.05, 0.10), (0.10, 0.25), (0.25, 0.95))
 OFFSETS: Final = ("deterioration", "sensor_bias", "throttle_bias", "temperature_effect")
 _OF_OFFSETS: Final = (0.9, 0.98)
@@ -247,7 +246,9 @@ def _case(
         kind=content.kind,
         effects=content.effects,
         # In this order, for each draws from `random`.
-        signs=draw_signs(content.effects, random),
+        signs=tuple(
+            float(random.choice((-1.0, 1.0))) if e.signed else 1.0 for e in content.effects
+        ),
         style=engine or styles[(which + which // len(CATALOGUE)) % len(styles)],
         engine=engine or _engine(plan.engine, which, content, random),
         base=base_of(plan, content.kind, which, random if own else None),
@@ -265,26 +266,18 @@ def _engine(wanted: str, which: int, content: Content, random: np.random.Generat
     return lumped if wanted == "lumped" or (wanted == "all" and third) else preset
 
 
-def draw_signs(scales: Sequence[Scale], random: np.random.Generator) -> tuple[float, ...]:
-    return tuple(float(random.choice((-1.0, 1.0))) if e.signed else 1.0 for e in scales)
-
-
 def draw_share(content: Content, random: np.random.Generator, build: str) -> float:
     """Draw the share of the gap that the content makes; nothing makes none.
 
+    The energy of the effect over that of the rest is log-uniform.
     An offset is most of the gap: a smaller one drowns in the offsets of build and instrumentation,
     and nobody could name it, where there are any.
     """
     if content.kind == "null":
         return 0.0
-    if build == "same":
-        return share_in(_OWN_BINS[content.bin], random)
-    offset = any(effect.id in OFFSETS for effect in content.effects)
-    return share_in(_OF_OFFSETS if offset else BINS[content.bin], random)
-
-
-def share_in(bounds: tuple[float, float], random: np.random.Generator) -> float:
-    """Draw a share of the gap; the energy of the effect over that of the rest is log-uniform."""
+    bins = _OWN_BINS if build == "same" else BINS
+    offset = build != "same" and any(effect.id in OFFSETS for effect in content.effects)
+    bounds = _OF_OFFSETS if offset else bins[content.bin]
     low, high = (math.log(share / (1.0 - share)) for share in bounds)
     odds = math.exp(random.uniform(low, high))
     return odds / (1.0 + odds)
