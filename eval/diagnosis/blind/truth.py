@@ -107,7 +107,9 @@ class Specimen:
         inside = [each.unmodelled(flight.windows) for each in content.doses if not each.on_sensor]
         ids = {each.id: each for each in inside}
         for name, factor in (("heat_soak", base.soak), ("spool_lag", base.inertia)):
-            ids[name] = _multiplied(ids.get(name), name, factor)
+            # On top of a simulator that is off by a factor itself.
+            before = ids.get(name, Unmodelled(name)).value("factor")
+            ids[name] = Unmodelled(name, {"factor": before * factor})
         engine = self._engine(self.build if built else None, list(ids.values()), base.probe)
         return self._shown(self._run(engine, flight, content), flight, content, self._perfect)
 
@@ -169,12 +171,6 @@ class Specimen:
     def _random(self, purpose: str, number: int) -> np.random.Generator:
         code = int.from_bytes(purpose.encode()[:4], "big")
         return drawn(self.plan, 1, self.case.number, code, number)
-
-
-def _multiplied(given: Unmodelled | None, name: str, factor: float) -> Unmodelled:
-    """An effect on top of a simulator that is off by a factor itself."""
-    before = 1.0 if given is None else given.value("factor")
-    return Unmodelled(name, {"factor": before * factor})
 
 
 def _fuelled(inputs: Channels) -> Channels:
