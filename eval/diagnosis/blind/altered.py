@@ -161,12 +161,10 @@ def alter(case: Altered, logs: LogsConfig, driver: str) -> str:
         raise DataError("the time stamps are no numbers", file=case.file)
     for each, size in case.parts:
         source = sources[driver if each.channel == DRIVER else each.channel]
-        unit = (
-            find_unit(source.unit or channel(each.channel).unit, each.channel)
-            if (each.id in ("sensor_bias", "sensor_drift"))
-            else None
-        )
-        own = size if unit is None else size / (unit.scale * source.scale)
+        own = size
+        if each.id in ("sensor_bias", "sensor_drift"):
+            unit = find_unit(source.unit or channel(each.channel).unit, each.channel)
+            own = size / (unit.scale * source.scale)
         for prefix in logs.engines.values() or ("",):
             column = header.index(source.column.replace(ENGINE, prefix))
             values = _numbers(rows, column)[first:]

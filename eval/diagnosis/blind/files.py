@@ -76,7 +76,6 @@ SCHEMA: Final = "narxcal.blind/1"
 KEY_SCHEMA: Final = "narxcal.blind_key/1"
 CASES, KEY = "cases.json", "key.json.sealed"
 ANOTHER: Final = "Is this the right folder?"
-FOLDERS: Final = ("sim", "real", "sim_heldout", "real_heldout")
 
 
 def write_log(file: Path, text: str) -> str:

@@ -29,7 +29,6 @@ import numpy as np
 from eval.diagnosis.blind.cases import BlindPlan, Case, Dose, draw_cases
 from eval.diagnosis.blind.files import (
     CASES,
-    FOLDERS,
     KEY,
     KEY_SCHEMA,
     SCHEMA,
@@ -269,10 +268,10 @@ def _written(
     folder: Path, flights: int, simulated: Sequence[Channels], recorded: Sequence[Channels]
 ) -> dict[str, str]:
     found = {}
-    for number, both in enumerate(zip(simulated, recorded, strict=True)):
-        names = FOLDERS[:2] if number < flights else FOLDERS[2:]
-        for name, channels in zip(names, both, strict=True):
-            log = f"{name}/flight_{number}.csv.gz"
+    for number, (sim, real) in enumerate(zip(simulated, recorded, strict=True)):
+        held = "" if number < flights else "_heldout"
+        for name, channels in (("sim", sim), ("real", real)):
+            log = f"{name}{held}/flight_{number}.csv.gz"
             found[log] = write_log(folder / log, log_csv(channels, 8))
     return found
 
