@@ -200,11 +200,10 @@ class Content(NamedTuple):
 
 
 class Offer(NamedTuple):
-    """What cases can be made of: effects, and what no effect is; of one `engine`, if given."""
+    """What cases can be made of: effects, and what looks like one; of one `engine`, if given."""
 
     scales: tuple[Scale, ...] = CATALOGUE
     mimics: tuple[Strange, ...] = MIMICS
-    others: tuple[Strange, ...] = OTHERS
     engine: str | None = None
 
 
@@ -320,7 +319,7 @@ def draw_contents(cases: int, random: np.random.Generator, offer: Offer) -> list
 
 def _strange(number: int, offer: Offer) -> Content:
     """Mimics and others in turn, of at least 5 %."""
-    group = (offer.mimics, offer.others)[number % 2]
+    group = (offer.mimics, OTHERS)[number % 2]
     return Content("outside", strange=group[number // 2 % len(group)], bin=1 + number % 3)
 
 

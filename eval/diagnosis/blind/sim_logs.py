@@ -26,7 +26,7 @@ from eval.diagnosis.blind.cases import (
     drawn,
 )
 from eval.diagnosis.blind.make import Made, made_from
-from eval.diagnosis.blind.outside import MIMICS, MISFIT, OTHERS, applied
+from eval.diagnosis.blind.outside import MIMICS, MISFIT, applied
 from eval.diagnosis.blind.truth import (
     NOTHING,
     OUTPUTS,
@@ -222,7 +222,6 @@ def offer_of(flights: Sequence[Log]) -> Offer:
     return Offer(
         tuple(scale for scale in CATALOGUE if possible(scale)),
         tuple(each for each in MIMICS if each.on == "output"),
-        OTHERS,
         ENGINE,
     )
 
