@@ -49,9 +49,10 @@ _CLOSE: Final = 0.1  # of the energy: the next size will do
 _LEAST: Final = 1e-3  # of the energy aimed at: the size does nothing yet
 _SMALLEST: Final = 0.03  # of the first size
 Measure = Callable[[float], float]
+Logs = Sequence[Channels]  # of one engine, flight by flight
 
 
-def ranges(simulated: Sequence[Channels]) -> dict[str, float]:
+def ranges(simulated: Logs) -> dict[str, float]:
     """Range of each output over all simulated flights."""
     return {
         name: max(max(np.nanmax(s[name]) for s in simulated) - low, 1e-9)
@@ -70,11 +71,7 @@ def _squares(one: Channels, other: Channels, spans: Mapping[str, float]) -> Floa
     return np.array([np.nanmean((one[n] - other[n]) ** 2) / spans[n] ** 2 for n in spans])
 
 
-def gap_share(
-    recorded: Sequence[Channels],
-    simulated: Sequence[Channels],
-    with_it: Sequence[Channels],
-) -> float:
+def gap_share(recorded: Logs, simulated: Logs, with_it: Logs) -> float:
     """Share of the squared gap that the true content takes away: `with_it` is simulated with it."""
     spans = ranges(simulated)
     before = sum(energy(r, s, spans) for r, s in zip(recorded, simulated, strict=True))
@@ -82,7 +79,7 @@ def gap_share(
     return 1.0 - after / before if before > 0.0 else 0.0
 
 
-def sized(specimen: Specimen, flights: Sequence[Flight], simulated: Sequence[Channels]) -> Content:
+def sized(specimen: Specimen, flights: Sequence[Flight], simulated: Logs) -> Content:
     """Give the case's content the sizes that come to its share on some flights.
 
     Several effects get equal parts. A share that the largest size does not make is left at that.
@@ -143,7 +140,7 @@ def budget(
     specimen: Specimen,
     flights: Sequence[Flight],
     content: Content,
-    simulated: Sequence[Channels],
+    simulated: Logs,
     real: Sequence[tuple[Channels, Channels]],
 ) -> dict[str, dict[str, Any]]:
     """Give the true budget of a case on some flights: cause -> its share, and that by channel.
@@ -154,7 +151,7 @@ def budget(
     spans = ranges(simulated)
     players = [*(dose.scale.name for dose in content.doses), "build", "offsets"]
     shifted = [{n: t[n] + np.nanmean(r[n] - t[n]) for n in spans} for t, r in real]
-    models: dict[frozenset[str], Sequence[Channels]] = {frozenset(): simulated}
+    models: dict[frozenset[str], Logs] = {frozenset(): simulated}
 
     def left(entered: frozenset[str]) -> FloatArray:
         inside = entered - {"offsets"}
@@ -264,9 +261,7 @@ def made_from(folder: Path, plan: BlindPlan, specimen: Specimen) -> Made:
     return Made(case.name, row, _written(folder / case.name, plan.flights, simulated, recorded))
 
 
-def _written(
-    folder: Path, flights: int, simulated: Sequence[Channels], recorded: Sequence[Channels]
-) -> dict[str, str]:
+def _written(folder: Path, flights: int, simulated: Logs, recorded: Logs) -> dict[str, str]:
     found = {}
     for number, (sim, real) in enumerate(zip(simulated, recorded, strict=True)):
         held = "" if number < flights else "_heldout"
