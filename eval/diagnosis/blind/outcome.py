@@ -212,7 +212,7 @@ class Outcome(NamedTuple):
         return _summed((row["channel"], row["share"]) for row in self.answer.get("where", ()))
 
 
-def _summed(rows: Any) -> dict[str, float]:
+def _summed(rows: Any) -> defaultdict[str, float]:
     found: defaultdict[str, float] = defaultdict(float)
     for name, value in rows:
         found[name] += float(value)
