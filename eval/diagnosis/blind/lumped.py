@@ -270,7 +270,7 @@ class LumpedEngine:
         bleed += self._value("bleed_extraction", "share") * (switches > 0.5).any(axis=1)
         load = np.full(len(bleed), 0.004)
         windows = self.effects.get("unlogged_switch", Unmodelled("unlogged_switch")).windows
-        on = within(np.arange(len(bleed)) * dt_s, windows)
+        on = within(np.arange(len(bleed), dtype=np.float64) * dt_s, windows)
         bleed += self._value("unlogged_switch", "bleed") * on
         load += self._value("unlogged_switch", "power_kW") / _FULL_KW * on
         return bleed, load

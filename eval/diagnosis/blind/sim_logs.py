@@ -68,7 +68,7 @@ def _bleed(flight: Flight, power: FloatArray, size: float) -> Channels:
 
 
 def _hidden(flight: Flight, power: FloatArray, size: float) -> Channels:
-    on = within(np.arange(len(power)) * flight.dt_s, flight.windows)
+    on = within(np.arange(len(power), dtype=np.float64) * flight.dt_s, flight.windows)
     return _bled(flight, power, size * on.astype(np.float64))
 
 
