@@ -18,6 +18,7 @@ from pydantic import Field
 from eval.diagnosis.blind.lumped import KINDS, applies
 from eval.diagnosis.blind.outside import MIMICS, OTHERS, Strange
 from narxcal.effects.library import LIBRARY
+from narxcal.flight_test.scenario import PARAMETERS
 from narxcal.flight_test.sensors import PARAMETERS as ON_SENSORS
 from narxcal.flight_test.sensors import SensorFault
 from narxcal.support.settings import Section
@@ -41,7 +42,6 @@ class Scale(NamedTuple):
     first: float
     most: float
     channel: str | None = None
-    neutral: float = 0.0
     signed: bool = False
     inverse: bool = False
 
@@ -56,7 +56,8 @@ class Scale(NamedTuple):
     def parameters(self, size: float) -> dict[str, float]:
         if self.inverse:
             return {name: factor / size for name, factor in self.factors.items()}
-        return {name: self.neutral + factor * size for name, factor in self.factors.items()}
+        sizes = PARAMETERS[self.id]
+        return {name: sizes[name].neutral + factor * size for name, factor in self.factors.items()}
 
 
 CATALOGUE: Final = (
@@ -66,12 +67,12 @@ CATALOGUE: Final = (
     Scale("throttle_rate_limit", {"rate_degps": 10.0}, 1.0, 6.0, inverse=True),
     Scale("throttle_bias", {"bias_deg": 1.0}, 0.7, 6.0, signed=True),
     Scale("actuator_lag", {"tau_s": 1.0}, 0.3, 3.0),
-    Scale("spool_lag", {"factor": 1.0}, 0.25, 2.5, neutral=1.0),
-    Scale("accel_decel_asymmetry", {"ratio": 1.0}, 0.3, 2.5, neutral=1.0),
-    Scale("accel_limit", {"factor": -1.0}, 0.3, 0.8, neutral=1.0),
+    Scale("spool_lag", {"factor": 1.0}, 0.25, 2.5),
+    Scale("accel_decel_asymmetry", {"ratio": 1.0}, 0.3, 2.5),
+    Scale("accel_limit", {"factor": -1.0}, 0.3, 0.8),
     Scale("altitude_lag", {"exponent": 1.0}, 0.4, 1.9),
-    Scale("spool_coupling", {"factor": 1.0}, 0.3, 2.5, neutral=1.0),
-    Scale("heat_soak", {"factor": 1.0}, 1.0, 4.0, neutral=1.0),
+    Scale("spool_coupling", {"factor": 1.0}, 0.3, 2.5),
+    Scale("heat_soak", {"factor": 1.0}, 1.0, 4.0),
     Scale("bleed_extraction", {"share": 1.0}, 0.01, 0.12),
     Scale("unlogged_switch", {"bleed": 1.0}, 0.015, 0.12),
     Scale("deterioration", {"hpt_efficiency_pct": 1.0, "hpc_efficiency_pct": 0.6}, 1.0, 5.0),
