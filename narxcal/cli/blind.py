@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
-from typing import Final
+from typing import Final, get_args
 
 from eval.diagnosis.blind.altered import make_altered
 from eval.diagnosis.blind.cases import BlindPlan
@@ -73,19 +73,17 @@ def _add_make(parser: ArgumentParser) -> None:
             _PLANNED[key], metavar=metavar, type=kind, default=default, dest=key,
             help=f"{of}default {default:g}",
         )  # fmt: skip
-    parser.add_argument("--style", choices=("line", "enriched", "both"), default="both")
-    parser.add_argument(
-        "--engine",
-        choices=("virtual", "lumped", "all"),
-        default="all",
-        help="component-level engines, lumped ones, or all: every third case lumped (default)",
-    )
-    parser.add_argument(
-        "--build",
-        choices=("scattered", "same"),
-        default="scattered",
-        help="the recorded engine: one of its type (default), or the simulator's own",
-    )
+    for key, text in (
+        ("style", None),
+        (
+            "engine",
+            "component-level engines, lumped ones, or all: every third case lumped (default)",
+        ),
+        ("build", "the recorded engine: one of its type (default), or the simulator's own"),
+    ):
+        field = BlindPlan.model_fields[key]
+        choices = get_args(field.annotation)
+        parser.add_argument(_PLANNED[key], choices=choices, default=field.default, help=text)
     parser.add_argument("--seed", metavar="N", type=seed, default=0, help="default 0")
     parser.add_argument("--secret", metavar="WORD", help="opens the key; the seed if left out")
     add_jobs(parser, "cases")
@@ -164,13 +162,12 @@ def _make(options: Namespace, console: Console) -> None:
     with RESULTS.writing(options.out) as folder, console.progress("Flying") as advance:
         if options.sim_logs is not None:
             made = make_log_cases(folder, plan, options.sim_logs)
-            document = write_key(folder, plan, secret, made, advance)
         elif options.altered is not None:
             config, base = read_config(options.altered, None)
             made = make_altered(folder, plan, config.logs, base)
-            document = write_key(folder, plan, secret, made, advance)
         else:
-            document = make_cases(folder, plan, secret, options.jobs, advance)
+            made = make_cases(folder, plan, options.jobs)
+        document = write_key(folder, plan, secret, made, advance)
     console.say(f"Cases: {options.out}. Sealed key: {options.out / KEY}")
     if options.secret is None:
         console.say("The secret is the seed: do not show it to whoever runs the cases.")

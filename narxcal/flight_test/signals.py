@@ -6,6 +6,7 @@ Signals are arrays `(time,)`, linear between samples and constant before the fir
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -119,7 +120,7 @@ def windows(
     return [(float(s), float(s + d)) for s, d in zip(starts, lengths, strict=True)]
 
 
-def within(time_s: FloatArray, spans: list[tuple[float, float]]) -> BoolArray:
+def within(time_s: FloatArray, spans: Iterable[tuple[float, float]]) -> BoolArray:
     """Mark the times inside a window, `start <= time < end`."""
     inside = np.zeros(len(time_s), dtype=np.bool_)
     for start, end in spans:

@@ -265,7 +265,7 @@ class Results:
             inner = target / name
             within = sorted(inner.iterdir()) if inner.is_dir() else []
             foreign += [f"{name}/{each.name}" for each in within if not each.is_file()]
-        if not foreign and _has_schema(target / self.document, self.schema):
+        if not foreign and has_schema(target / self.document, self.schema):
             return
         found = foreign or sorted(entry.name for entry in target.iterdir())
         raise ConfigError(
@@ -306,6 +306,16 @@ def finite(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
+
+
+def has_schema(file: Path, schema: str) -> bool:
+    """Whether a JSON file bears a schema that is `schema`, or begins so where that ends in '.'."""
+    try:
+        document = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return False
+    found = document.get("schema") if isinstance(document, dict) else None
+    return found == schema or (schema[-1] in "/." and str(found).startswith(schema))
 
 
 def is_file(path: Path) -> bool:
@@ -410,16 +420,6 @@ def _replace_folder(part: Path, target: Path) -> None:
 def _temporary(target: Path, suffix: str) -> Path:
     """Name that nobody else uses, in the folder of `target`; `recover` knows it."""
     return target.with_name(f".{target.name}.{secrets.token_hex(6)}.{suffix}")
-
-
-def _has_schema(file: Path, schema: str) -> bool:
-    """Whether a JSON file bears a schema that is `schema`, or begins so where that ends in '.'."""
-    try:
-        document = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return False
-    found = document.get("schema") if isinstance(document, dict) else None
-    return found == schema or (schema[-1] in "/." and str(found).startswith(schema))
 
 
 def _flush(stream: IO[Any]) -> None:

@@ -9,10 +9,8 @@ stays in: a flight that is not altered is the null.
 from __future__ import annotations
 
 import csv
-import gzip
-import hashlib
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -23,6 +21,7 @@ from data_prep.config import ENGINE, LogsConfig
 from data_prep.sources.text_file import open_text
 from data_prep.sources.units import find_unit
 from eval.diagnosis.blind.cases import BlindPlan, case_name, drawn
+from eval.diagnosis.blind.files import write_log
 from eval.diagnosis.blind.make import Made
 from narxcal.channels import channel
 from narxcal.flight_test.signals import first_order
@@ -46,34 +45,27 @@ class Alteration(NamedTuple):
     parameter: str
     nameable: float
 
-    @property
-    def name(self) -> str:
-        """`id:channel` as in the answers; what drives the engine has no channel."""
-        return self.id if self.channel == DRIVER else f"{self.id}:{self.channel}"
-
     def applied(self, values: FloatArray, time_s: FloatArray, size: float) -> FloatArray:
         """`values` (time,) with the fault of a size, in the unit of the channel."""
         known = np.isfinite(values)
         if not known.any():
             return values
         complete = np.interp(time_s, time_s[known], values[known])
-        if self.id in ("time_skew", "throttle_delay"):
-            # A driver recorded late is an engine that answers early: a negative delay.
-            late_s = -size if self.channel == DRIVER else size
-            found = np.interp(time_s - late_s, time_s, complete)
-        elif self.id == "sensor_lag":
-            found = first_order(complete, size, float(np.median(np.diff(time_s))))
-        elif self.id == "sensor_bias":
-            found = complete + size
-        elif self.id == "sensor_drift":
-            found = complete + size * (time_s - time_s[0]) / 3600.0
-        elif self.id == "driver_gain":  # the engine gets more than is recorded
-            found = complete / (1.0 + 0.01 * size)
-        else:
-            found = complete * (1.0 + 0.01 * size)
-        return np.where(known, found, np.nan)
+        return np.where(known, _FAULTS[self.id](complete, time_s, size), np.nan)
 
 
+# What a fault makes of readings `y`, complete, at times `t`, by its size.
+_FAULTS: Final[dict[str, Callable[[FloatArray, FloatArray, float], FloatArray]]] = {
+    "time_skew": lambda y, t, size: np.interp(t - size, t, y),
+    # A driver recorded late is an engine that answers early: a negative delay.
+    "throttle_delay": lambda y, t, size: np.interp(t + size, t, y),
+    "sensor_lag": lambda y, t, size: first_order(y, size, float(np.median(np.diff(t)))),
+    "sensor_bias": lambda y, _, size: y + size,
+    "sensor_drift": lambda y, t, size: y + size * (t - t[0]) / 3600.0,
+    "sensor_gain": lambda y, _, size: y * (1.0 + 0.01 * size),
+    # The engine gets more than is recorded.
+    "driver_gain": lambda y, _, size: y / (1.0 + 0.01 * size),
+}
 ALTERATIONS: Final = (
     Alteration("time_skew", "N1_pct", "skew_s", 0.08),
     Alteration("driver_gain", DRIVER, "gain_pct", 2.5),
@@ -98,7 +90,6 @@ class Altered(NamedTuple):
     times: float  # the nameable size
 
     def row(self) -> dict[str, Any]:
-        kind = ("null", "single", "pair")[len(self.parts)]
         effects = [
             {
                 "id": each.id,
@@ -108,7 +99,7 @@ class Altered(NamedTuple):
             for each, size in self.parts
         ]
         return {
-            "kind": kind,
+            "kind": ("null", "single", "pair")[len(self.parts)],
             "style": "altered",
             "engine": "real",
             "effects": effects,
@@ -153,15 +144,13 @@ def make_altered(folder: Path, plan: BlindPlan, logs: LogsConfig, base: Path) ->
     offered = [each for each in ALTERATIONS if each.channel in (*sources, DRIVER)]
     for number, case in enumerate(draw_altered(plan.cases, files, offered, random), start=1):
         name = case_name(plan, number)
-        content = alter(case, logs, driver)
         log = f"real/{case.file.name.removesuffix('.gz')}.gz"
-        (folder / name / log).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name / log).write_bytes(content)
-        yield Made(name, case.row(), {log: hashlib.sha256(content).hexdigest()})
+        digest = write_log(folder / name / log, alter(case, logs, driver))
+        yield Made(name, case.row(), {log: digest})
 
 
-def alter(case: Altered, logs: LogsConfig, driver: str) -> bytes:
-    """The flight's file with its alterations, gzipped; cells of other columns stay as they are."""
+def alter(case: Altered, logs: LogsConfig, driver: str) -> str:
+    """Text of the flight's file with its alterations; cells of other columns stay as they are."""
     rows = _rows(case.file)
     header = rows[0]
     sources = logs.sources(tuple(header))
@@ -172,12 +161,10 @@ def alter(case: Altered, logs: LogsConfig, driver: str) -> bytes:
         raise DataError("the time stamps are no numbers", file=case.file)
     for each, size in case.parts:
         source = sources[driver if each.channel == DRIVER else each.channel]
-        unit = (
-            find_unit(source.unit or channel(each.channel).unit, each.channel)
-            if (each.id in ("sensor_bias", "sensor_drift"))
-            else None
-        )
-        own = size if unit is None else size / (unit.scale * source.scale)
+        own = size
+        if each.id in ("sensor_bias", "sensor_drift"):
+            unit = find_unit(source.unit or channel(each.channel).unit, each.channel)
+            own = size / (unit.scale * source.scale)
         for prefix in logs.engines.values() or ("",):
             column = header.index(source.column.replace(ENGINE, prefix))
             values = _numbers(rows, column)[first:]
@@ -187,7 +174,7 @@ def alter(case: Altered, logs: LogsConfig, driver: str) -> bytes:
                     row[column] = f"{value:.8g}"
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)
-    return gzip.compress(text.getvalue().encode(), 6, mtime=0)
+    return text.getvalue()
 
 
 def _rows(file: Path) -> list[list[str]]:

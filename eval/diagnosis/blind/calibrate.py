@@ -22,13 +22,14 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.optimize import minimize
 from scipy.special import log_softmax, logsumexp
 from sklearn.linear_model import LogisticRegression
 
 from eval.diagnosis.blind.files import open_key
-from eval.diagnosis.blind.outcome import Outcome
-from eval.diagnosis.blind.score import calibration_error, mean
+from eval.diagnosis.blind.outcome import FLOOR, NONE, Outcome
+from eval.diagnosis.blind.score import Rate, table
 from eval.diagnosis.flights import batch
 from eval.diagnosis.pairs import read_pairs
 from narxcal.support.arrays import BoolArray, FloatArray
@@ -46,7 +47,6 @@ from training.diagnosis.layers import (
 from training.diagnosis.verdict import Engines, weigh
 
 RIDGE: Final = 0.1
-_SMALL: Final = 0.05  # share of the gap below which nobody has to name an effect
 _OUTSIDE: Final = 0.5  # weight of a case that the library does not hold
 
 
@@ -67,12 +67,7 @@ class Choice:
 
     def design(self) -> FloatArray:
         """Features of every answer, (effects + others, ...): of effects, then once per other."""
-        (n, m), c = self.features.shape, len(self.case)
-        found = np.zeros((n + self.others, m + self.others * c))
-        found[:n, :m] = self.features
-        for k in range(self.others):
-            found[n + k, m + k * c : m + (k + 1) * c] = self.case
-        return found
+        return np.asarray(block_diag(self.features, *[self.case] * self.others))
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,10 +77,6 @@ class Case:
     outcome: Outcome
     first: Choice
     further: Mapping[str, Choice]
-
-    @property
-    def family(self) -> str:
-        return self.outcome.family
 
 
 def read_case(file: Path) -> Case:
@@ -110,7 +101,7 @@ def _weight(outcome: Outcome) -> float:
 def _right(outcome: Outcome, names: Sequence[str]) -> BoolArray:
     """Which answers are right: a true effect; the others where there is none, or hardly any."""
     right = np.array([name in outcome.true_effects for name in names] + [False, False])
-    small = outcome.gap_share < _SMALL
+    small = outcome.gap_share < FLOOR
     if outcome.kind == "null":
         right[-2] = True
     elif outcome.kind == "outside":
@@ -126,18 +117,14 @@ def _second(outcome: Outcome, row: Mapping[str, Any]) -> BoolArray:
     others = [name for name in outcome.true_effects if name != leader]
     right = np.array([name in others for name in names] + [False])
     shares = [outcome.truth["budget"][name]["share"] for name in others]
-    right[-1] = not right.any() or max(shares) < _SMALL
+    right[-1] = not right.any() or max(shares) < FLOOR
     return right
 
 
 def fitted(choices: Sequence[Choice], around: FloatArray | None = None) -> FloatArray:
     """Weights that make right answers likeliest, with a ridge, `around` values of the first."""
     designs = [one.design() for one in choices]
-    others = [np.zeros(one.others) for one in choices]
-    before = [
-        np.concatenate([[prior(name) for name in one.effects], none])
-        for one, none in zip(choices, others, strict=True)
-    ]
+    before = [np.array([*map(prior, one.effects), *[0.0] * one.others]) for one in choices]
     middle = np.zeros(designs[0].shape[1])
     if around is not None:
         middle[: len(around)] = around
@@ -192,10 +179,10 @@ def logits(cases: Sequence[Case]) -> Odds:
 
 
 def _each_family(cases: Sequence[Case]) -> Iterator[tuple[list[Case], list[Case]]]:
-    for family in dict.fromkeys(one.family for one in cases):
-        own = [one for one in cases if one.family == family]
+    for family in dict.fromkeys(one.outcome.family for one in cases):
+        own = [one for one in cases if one.outcome.family == family]
         if len(own) < len(cases):
-            yield own, [one for one in cases if one.family != family]
+            yield own, [one for one in cases if one.outcome.family != family]
 
 
 def _likeliest(choice: Choice, odds: Odds) -> tuple[str, float, float]:
@@ -205,9 +192,8 @@ def _likeliest(choice: Choice, odds: Odds) -> tuple[str, float, float]:
     return choice.effects[best], float(chances[best]), float(chances[-2:].sum())
 
 
-def judged(one: Case, odds: Odds) -> dict[str, Any]:
-    """What the weights say of a case, how probable it is, and whether it is right."""
-    true = one.outcome.true_effects
+def judged(one: Case, odds: Odds) -> Outcome:
+    """The case with what the weights say of it in the place of an answer."""
     leader, chance, others = _likeliest(one.first, odds)
     said = [leader] if chance > others else []
     more = one.further.get(leader)
@@ -215,41 +201,34 @@ def judged(one: Case, odds: Odds) -> dict[str, Any]:
         beside_it = odds.more(more.effects, more.features, more.case)
         best = int(np.argmax(beside_it))
         said += [more.effects[best]] if best < len(more.effects) else []
-    return {
-        "kind": one.outcome.kind,
-        "large": one.outcome.gap_share >= _SMALL,
-        "probability": odds.sure(chance),
-        "named": bool(said),
-        "right": leader in true,
-        "exact": {*said} == {*true},
-    }
+    verdict = {"kind": "effects" if said else NONE, "effects": said, "ambiguous_with": []}
+    effects = [{"id": leader, "probability": odds.sure(chance)}]
+    return one.outcome._replace(answer={"verdict": verdict, "effects": effects})
 
 
-def figures(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Top-1 of effects above 5 % of the gap, exact verdicts, nulls named, and the calibration."""
-    large = [r for r in rows if r["kind"] in ("single", "pair") and r["large"]]
-    claims = [r for r in rows if r["named"]]
-    sure, right = [r["probability"] for r in claims], [r["right"] for r in claims]
-    return {
-        "cases": len(rows),
-        "top1": _share([r["right"] for r in large]),
-        "answered": _share([r["right"] and r["named"] for r in large]),
-        "exact_singles": _share([r["exact"] for r in large if r["kind"] == "single"]),
-        "exact_pairs": _share([r["exact"] for r in large if r["kind"] == "pair"]),
-        "nulls_named": _share([r["named"] for r in rows if r["kind"] == "null"]),
-        "outside_named": _share([r["named"] for r in rows if r["kind"] == "outside"]),
-        "claims_right": _share(right),
-        "ece": calibration_error(sure, right),
-    }
+_FIGURES: Final = {
+    "top1": "top-1, ranked first",
+    "answered": "top-1, as answered",
+    "exact_singles": "exact verdict of singles",
+    "exact_pairs": "exact pair",
+    "nulls_named": "nulls claimed",
+    "outside_named": "firm claims out of library",
+    "claims_right": "claims right",
+    "ece": "calibration error (ECE)",
+}
 
 
-def _share(values: Sequence[bool]) -> list[float]:
-    return [mean(map(float, values)), len(values)]
+def figures(outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    """Measures of the blind test: of a share its value, and over how many cases it is."""
+    found = {each.name: each.value for each in table(outcomes)}
+    values = {key: found[name] for key, name in _FIGURES.items()}
+    shown = {k: [v.value, v.of] if isinstance(v, Rate) else v for k, v in values.items()}
+    return {"cases": len(outcomes), **shown}
 
 
-def left_out(cases: Sequence[Case]) -> list[dict[str, Any]]:
+def left_out(cases: Sequence[Case]) -> list[Outcome]:
     """Every family judged by weights that were fitted on the others."""
-    rows: list[dict[str, Any]] = []
+    rows: list[Outcome] = []
     for own, others in _each_family(cases):
         odds = fit(others)
         rows += [judged(one, odds) for one in own]
@@ -280,7 +259,7 @@ def _row(singles: Sequence[Single], effects: FloatArray, case: FloatArray) -> di
 def written(cases: Sequence[Case], out: Path) -> dict[str, Any]:
     """Fit the weights, write them, and give the figures with each family left out."""
     rows, odds = left_out(cases), fit(cases)
-    families = [one.family for one in cases]
+    families = [one.outcome.family for one in cases]
     text = {
         "date": dt.datetime.now(tz=dt.UTC).date().isoformat(),
         "cases": len(cases),

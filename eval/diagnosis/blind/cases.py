@@ -18,6 +18,7 @@ from pydantic import Field
 from eval.diagnosis.blind.lumped import KINDS, applies
 from eval.diagnosis.blind.outside import MIMICS, OTHERS, Strange
 from narxcal.effects.library import LIBRARY
+from narxcal.flight_test.scenario import PARAMETERS
 from narxcal.flight_test.sensors import PARAMETERS as ON_SENSORS
 from narxcal.flight_test.sensors import SensorFault
 from narxcal.support.settings import Section
@@ -41,7 +42,6 @@ class Scale(NamedTuple):
     first: float
     most: float
     channel: str | None = None
-    neutral: float = 0.0
     signed: bool = False
     inverse: bool = False
 
@@ -56,7 +56,8 @@ class Scale(NamedTuple):
     def parameters(self, size: float) -> dict[str, float]:
         if self.inverse:
             return {name: factor / size for name, factor in self.factors.items()}
-        return {name: self.neutral + factor * size for name, factor in self.factors.items()}
+        sizes = PARAMETERS[self.id]
+        return {name: sizes[name].neutral + factor * size for name, factor in self.factors.items()}
 
 
 CATALOGUE: Final = (
@@ -66,12 +67,12 @@ CATALOGUE: Final = (
     Scale("throttle_rate_limit", {"rate_degps": 10.0}, 1.0, 6.0, inverse=True),
     Scale("throttle_bias", {"bias_deg": 1.0}, 0.7, 6.0, signed=True),
     Scale("actuator_lag", {"tau_s": 1.0}, 0.3, 3.0),
-    Scale("spool_lag", {"factor": 1.0}, 0.25, 2.5, neutral=1.0),
-    Scale("accel_decel_asymmetry", {"ratio": 1.0}, 0.3, 2.5, neutral=1.0),
-    Scale("accel_limit", {"factor": -1.0}, 0.3, 0.8, neutral=1.0),
+    Scale("spool_lag", {"factor": 1.0}, 0.25, 2.5),
+    Scale("accel_decel_asymmetry", {"ratio": 1.0}, 0.3, 2.5),
+    Scale("accel_limit", {"factor": -1.0}, 0.3, 0.8),
     Scale("altitude_lag", {"exponent": 1.0}, 0.4, 1.9),
-    Scale("spool_coupling", {"factor": 1.0}, 0.3, 2.5, neutral=1.0),
-    Scale("heat_soak", {"factor": 1.0}, 1.0, 4.0, neutral=1.0),
+    Scale("spool_coupling", {"factor": 1.0}, 0.3, 2.5),
+    Scale("heat_soak", {"factor": 1.0}, 1.0, 4.0),
     Scale("bleed_extraction", {"share": 1.0}, 0.01, 0.12),
     Scale("unlogged_switch", {"bleed": 1.0}, 0.015, 0.12),
     Scale("deterioration", {"hpt_efficiency_pct": 1.0, "hpc_efficiency_pct": 0.6}, 1.0, 5.0),
@@ -126,8 +127,7 @@ class Dose(NamedTuple):
 
 
 Kind = Literal["single", "pair", "null", "outside"]
-Style = Literal["line", "enriched"]
-STYLES: Final[tuple[Style, ...]] = ("line", "enriched")
+STYLES: Final = ("line", "enriched")
 BINS: Final = ((0.02, 0.05), (0.05, 0.10), (0.10, 0.25), (0.25, 0.95))
 OFFSETS: Final = ("deterioration", "sensor_bias", "throttle_bias", "temperature_effect")
 _OF_OFFSETS: Final = (0.9, 0.98)
@@ -201,11 +201,10 @@ class Content(NamedTuple):
 
 
 class Offer(NamedTuple):
-    """What cases can be made of: effects, and what no effect is; of one `engine`, if given."""
+    """What cases can be made of: effects, and what looks like one; of one `engine`, if given."""
 
     scales: tuple[Scale, ...] = CATALOGUE
     mimics: tuple[Strange, ...] = MIMICS
-    others: tuple[Strange, ...] = OTHERS
     engine: str | None = None
 
 
@@ -247,7 +246,9 @@ def _case(
         kind=content.kind,
         effects=content.effects,
         # In this order, for each draws from `random`.
-        signs=draw_signs(content.effects, random),
+        signs=tuple(
+            float(random.choice((-1.0, 1.0))) if e.signed else 1.0 for e in content.effects
+        ),
         style=engine or styles[(which + which // len(CATALOGUE)) % len(styles)],
         engine=engine or _engine(plan.engine, which, content, random),
         base=base_of(plan, content.kind, which, random if own else None),
@@ -265,26 +266,18 @@ def _engine(wanted: str, which: int, content: Content, random: np.random.Generat
     return lumped if wanted == "lumped" or (wanted == "all" and third) else preset
 
 
-def draw_signs(scales: Sequence[Scale], random: np.random.Generator) -> tuple[float, ...]:
-    return tuple(float(random.choice((-1.0, 1.0))) if e.signed else 1.0 for e in scales)
-
-
 def draw_share(content: Content, random: np.random.Generator, build: str) -> float:
     """Draw the share of the gap that the content makes; nothing makes none.
 
+    The energy of the effect over that of the rest is log-uniform.
     An offset is most of the gap: a smaller one drowns in the offsets of build and instrumentation,
     and nobody could name it, where there are any.
     """
     if content.kind == "null":
         return 0.0
-    if build == "same":
-        return share_in(_OWN_BINS[content.bin], random)
-    offset = any(effect.id in OFFSETS for effect in content.effects)
-    return share_in(_OF_OFFSETS if offset else BINS[content.bin], random)
-
-
-def share_in(bounds: tuple[float, float], random: np.random.Generator) -> float:
-    """Draw a share of the gap; the energy of the effect over that of the rest is log-uniform."""
+    bins = _OWN_BINS if build == "same" else BINS
+    offset = build != "same" and any(effect.id in OFFSETS for effect in content.effects)
+    bounds = _OF_OFFSETS if offset else bins[content.bin]
     low, high = (math.log(share / (1.0 - share)) for share in bounds)
     odds = math.exp(random.uniform(low, high))
     return odds / (1.0 + odds)
@@ -327,7 +320,7 @@ def draw_contents(cases: int, random: np.random.Generator, offer: Offer) -> list
 
 def _strange(number: int, offer: Offer) -> Content:
     """Mimics and others in turn, of at least 5 %."""
-    group = (offer.mimics, offer.others)[number % 2]
+    group = (offer.mimics, OTHERS)[number % 2]
     return Content("outside", strange=group[number // 2 % len(group)], bin=1 + number % 3)
 
 

@@ -14,14 +14,12 @@ import hashlib
 import hmac
 import json
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
 from eval.diagnosis.applied import read_document
-from eval.diagnosis.blind.truth import Channels
-from narxcal.support.csv_text import log_csv
 from narxcal.support.errors import ConfigError, DataError
+from narxcal.support.files import sha256_of
 
 MARK: Final = b"narxcal.blind_key/1\n"
 _ROUNDS = 200_000
@@ -40,26 +38,28 @@ def sealed(document: Mapping[str, Any], secret: str, salt: bytes) -> bytes:
     return MARK + hmac.digest(signer, salt + body, "sha256") + body
 
 
-def opened(content: bytes, secret: str, salt: bytes, file: Path | None = None) -> dict[str, Any]:
-    """Open what `sealed` made.
+def opened(
+    content: bytes, secrets: Sequence[str], salt: bytes, file: Path | None = None
+) -> dict[str, Any]:
+    """Open what `sealed` made, by whichever of the secrets fits.
 
-    Raises `DataError` for what is no sealed key, and `ConfigError` for another secret or salt, or
+    Raises `DataError` for what is no sealed key, and `ConfigError` for other secrets or salts, or
     for content that was changed: from outside these cannot be distinguished.
     """
     if not content.startswith(MARK) or len(content) < len(MARK) + _TAG:
         raise DataError("is no sealed key", file=file, hint="`narxcal blind make` writes one")
     tag, body = content[len(MARK) : len(MARK) + _TAG], content[len(MARK) + _TAG :]
-    cipher, signer = _keys(secret, salt)
-    if not hmac.compare_digest(tag, hmac.digest(signer, salt + body, "sha256")):
-        raise ConfigError(
-            "the key does not open: the secret is another one, or the key or the list of the "
-            "cases was changed since they were made",
-            file=file,
-            hint="Give the secret (or the seed) of `blind make` by --secret, once more for every "
-            "folder that has another",
-        )
-    document: dict[str, Any] = json.loads(_mixed(body, cipher))
-    return document
+    for cipher, signer in (_keys(secret, salt) for secret in secrets):
+        if hmac.compare_digest(tag, hmac.digest(signer, salt + body, "sha256")):
+            document: dict[str, Any] = json.loads(_mixed(body, cipher))
+            return document
+    raise ConfigError(
+        "the key does not open: the secret is another one, or the key or the list of the cases "
+        "was changed since they were made",
+        file=file,
+        hint="Give the secret (or the seed) of `blind make` by --secret, once more for every "
+        "folder that has another",
+    )
 
 
 def _keys(secret: str, salt: bytes) -> tuple[bytes, bytes]:
@@ -76,19 +76,16 @@ SCHEMA: Final = "narxcal.blind/1"
 KEY_SCHEMA: Final = "narxcal.blind_key/1"
 CASES, KEY = "cases.json", "key.json.sealed"
 ANOTHER: Final = "Is this the right folder?"
-FOLDERS: Final = ("sim", "real", "sim_heldout", "real_heldout")
 
 
-def write_log(file: Path, channels: Channels) -> str:
-    """Write channels `(time,)` as gzipped CSV; returns the SHA-256 of the file.
+def write_log(file: Path, text: str) -> str:
+    """Write the text of a log, gzipped without a time: the same text is the same bytes.
 
-    Blank where there is no reading. The zip bears no time, so that the same numbers are the same
-    bytes.
+    Returns the SHA-256 of the file.
     """
-    content = gzip.compress(log_csv(channels, 8).encode(), 6, mtime=0)
     file.parent.mkdir(parents=True, exist_ok=True)
-    file.write_bytes(content)
-    return hashlib.sha256(content).hexdigest()
+    file.write_bytes(gzip.compress(text.encode(), 6, mtime=0))
+    return sha256_of(file)
 
 
 def read_cases(folder: Path) -> dict[str, Any]:
@@ -116,21 +113,13 @@ def open_key(folder: Path, *secrets: str) -> dict[str, Any]:
     cases, file = read_cases(folder), folder / KEY
     if not file.is_file():
         raise DataError("there is no key", file=file, hint="Put it back where `blind make` put it")
-    key = _first_that_opens(file, secrets, salt_of(cases))
+    key = opened(file.read_bytes(), secrets, salt_of(cases), file)
     for case, logs in cases["logs"].items():
         for log, digest in logs.items():
             path = folder / case / log
-            if hashlib.sha256(path.read_bytes()).hexdigest() != digest:
+            if sha256_of(path) != digest:
                 raise DataError("the log was changed since it was made", file=path)
     return key
-
-
-def _first_that_opens(file: Path, secrets: Sequence[str], salt: bytes) -> dict[str, Any]:
-    content = file.read_bytes()
-    for secret in secrets[:-1]:
-        with suppress(ConfigError):
-            return opened(content, secret, salt, file)
-    return opened(content, secrets[-1], salt, file)
 
 
 def salt_of(cases: Mapping[str, Any]) -> bytes:

@@ -24,6 +24,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from narxcal.atmosphere import air_state
+from narxcal.flight_test.signals import within
 from narxcal.support.arrays import FloatArray
 from narxcal.support.compiled import compiled
 from narxcal.turbofan import Unmodelled
@@ -268,12 +269,10 @@ class LumpedEngine:
         bleed = switches @ np.array(_BLEEDS)
         bleed += self._value("bleed_extraction", "share") * (switches > 0.5).any(axis=1)
         load = np.full(len(bleed), 0.004)
-        hidden = self.effects.get("unlogged_switch")
-        time_s = np.arange(len(bleed)) * dt_s
-        for start, stop in () if hidden is None else hidden.windows:
-            on = (time_s >= start) & (time_s < stop)
-            bleed[on] += self._value("unlogged_switch", "bleed")
-            load[on] += self._value("unlogged_switch", "power_kW") / _FULL_KW
+        windows = self.effects.get("unlogged_switch", Unmodelled("unlogged_switch")).windows
+        on = within(np.arange(len(bleed), dtype=np.float64) * dt_s, windows)
+        bleed += self._value("unlogged_switch", "bleed") * on
+        load += self._value("unlogged_switch", "power_kW") / _FULL_KW * on
         return bleed, load
 
     def _commands(

@@ -18,7 +18,7 @@ noise. All shares sum to 1; one below 0 opposes the others.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import combinations
 from pathlib import Path
@@ -29,7 +29,6 @@ import numpy as np
 from eval.diagnosis.blind.cases import BlindPlan, Case, Dose, draw_cases
 from eval.diagnosis.blind.files import (
     CASES,
-    FOLDERS,
     KEY,
     KEY_SCHEMA,
     SCHEMA,
@@ -37,8 +36,9 @@ from eval.diagnosis.blind.files import (
     sealed,
     write_log,
 )
-from eval.diagnosis.blind.truth import NOTHING, Channels, Content, Specimen, outputs_of
+from eval.diagnosis.blind.truth import NOTHING, Channels, Content, Flight, Specimen, outputs_of
 from narxcal.support.arrays import FloatArray
+from narxcal.support.csv_text import log_csv
 from narxcal.support.errors import ModelError
 from narxcal.support.files import atomic_write_bytes, atomic_write_text, to_json
 from narxcal.support.parallel import in_processes
@@ -49,9 +49,10 @@ _CLOSE: Final = 0.1  # of the energy: the next size will do
 _LEAST: Final = 1e-3  # of the energy aimed at: the size does nothing yet
 _SMALLEST: Final = 0.03  # of the first size
 Measure = Callable[[float], float]
+Logs = Sequence[Channels]  # of one engine, flight by flight
 
 
-def ranges(simulated: Sequence[Channels]) -> dict[str, float]:
+def ranges(simulated: Logs) -> dict[str, float]:
     """Range of each output over all simulated flights."""
     return {
         name: max(max(np.nanmax(s[name]) for s in simulated) - low, 1e-9)
@@ -70,11 +71,7 @@ def _squares(one: Channels, other: Channels, spans: Mapping[str, float]) -> Floa
     return np.array([np.nanmean((one[n] - other[n]) ** 2) / spans[n] ** 2 for n in spans])
 
 
-def gap_share(
-    recorded: Sequence[Channels],
-    simulated: Sequence[Channels],
-    with_it: Sequence[Channels],
-) -> float:
+def gap_share(recorded: Logs, simulated: Logs, with_it: Logs) -> float:
     """Share of the squared gap that the true content takes away: `with_it` is simulated with it."""
     spans = ranges(simulated)
     before = sum(energy(r, s, spans) for r, s in zip(recorded, simulated, strict=True))
@@ -82,7 +79,7 @@ def gap_share(
     return 1.0 - after / before if before > 0.0 else 0.0
 
 
-def sized(specimen: Any, flights: Sequence[Any], simulated: Sequence[Channels]) -> Content:
+def sized(specimen: Specimen, flights: Sequence[Flight], simulated: Logs) -> Content:
     """Give the case's content the sizes that come to its share on some flights.
 
     Several effects get equal parts. A share that the largest size does not make is left at that.
@@ -140,10 +137,10 @@ def size_for(measured: Measure, wanted: float, sizes: tuple[float, float]) -> fl
 
 
 def budget(
-    specimen: Any,
-    flights: Sequence[Any],
+    specimen: Specimen,
+    flights: Sequence[Flight],
     content: Content,
-    simulated: Sequence[Channels],
+    simulated: Logs,
     real: Sequence[tuple[Channels, Channels]],
 ) -> dict[str, dict[str, Any]]:
     """Give the true budget of a case on some flights: cause -> its share, and that by channel.
@@ -154,7 +151,7 @@ def budget(
     spans = ranges(simulated)
     players = [*(dose.scale.name for dose in content.doses), "build", "offsets"]
     shifted = [{n: t[n] + np.nanmean(r[n] - t[n]) for n in spans} for t, r in real]
-    models: dict[frozenset[str], Sequence[Channels]] = {frozenset(): simulated}
+    models: dict[frozenset[str], Logs] = {frozenset(): simulated}
 
     def left(entered: frozenset[str]) -> FloatArray:
         inside = entered - {"offsets"}
@@ -207,23 +204,22 @@ class Made(NamedTuple):
     logs: dict[str, str]
 
 
-def make_cases(
-    folder: Path, plan: BlindPlan, secret: str, jobs: int = 1, progress: Progress = silent
-) -> dict[str, Any]:
-    """Make all cases of a plan in `folder`, with the key sealed by `secret`; returns the list.
+def make_cases(folder: Path, plan: BlindPlan, jobs: int = 1) -> Iterator[Made]:
+    """Make all cases of a plan in `folder`, several at a time; their bytes depend on it alone.
 
-    The bytes depend on plan and secret alone. The list tells names, flights and digests, and
-    nothing of what is in a case. Raises `ModelError` naming the case that cannot be flown.
+    Raises `ModelError` naming the case that cannot be flown.
     """
     cases = draw_cases(plan)
-    made = in_processes(partial(make_case, folder, plan), cases, min(jobs, len(cases)))
-    return write_key(folder, plan, secret, made, progress)
+    return in_processes(partial(make_case, folder, plan), cases, min(jobs, len(cases)))
 
 
 def write_key(
     folder: Path, plan: BlindPlan, secret: str, cases: Iterable[Made], progress: Progress = silent
 ) -> dict[str, Any]:
-    """Make `cases`, seal their key by `secret`, and write the list of them, which is returned."""
+    """Make `cases`, seal their key by `secret`, and write the list of them, which is returned.
+
+    The list tells names, flights and digests, and nothing of what is in a case.
+    """
     rows: dict[str, Any] = {}
     logs: dict[str, dict[str, str]] = {}
     for number, made in enumerate(cases, start=1):
@@ -246,8 +242,8 @@ def make_case(folder: Path, plan: BlindPlan, case: Case) -> Made:
         ) from None
 
 
-def made_from(folder: Path, plan: BlindPlan, specimen: Any) -> Made:
-    """Write the logs of a specimen; `Specimen` says what it has to be able to."""
+def made_from(folder: Path, plan: BlindPlan, specimen: Specimen) -> Made:
+    """Write the logs of a specimen."""
     case = specimen.case
     flights = [specimen.flight(number) for number in range(plan.flights + plan.held_out)]
     simulated = [specimen.simulated(flight) for flight in flights]
@@ -265,19 +261,17 @@ def made_from(folder: Path, plan: BlindPlan, specimen: Any) -> Made:
     return Made(case.name, row, _written(folder / case.name, plan.flights, simulated, recorded))
 
 
-def _written(
-    folder: Path, flights: int, simulated: Sequence[Channels], recorded: Sequence[Channels]
-) -> dict[str, str]:
+def _written(folder: Path, flights: int, simulated: Logs, recorded: Logs) -> dict[str, str]:
     found = {}
-    for number, both in enumerate(zip(simulated, recorded, strict=True)):
-        names = FOLDERS[:2] if number < flights else FOLDERS[2:]
-        for name, channels in zip(names, both, strict=True):
-            log = f"{name}/flight_{number}.csv.gz"
-            found[log] = write_log(folder / log, channels)
+    for number, (sim, real) in enumerate(zip(simulated, recorded, strict=True)):
+        held = "" if number < flights else "_heldout"
+        for name, channels in (("sim", sim), ("real", real)):
+            log = f"{name}{held}/flight_{number}.csv.gz"
+            found[log] = write_log(folder / log, log_csv(channels, 8))
     return found
 
 
-def _facts(case: Case, content: Content, flights: Sequence[Any]) -> dict[str, Any]:
+def _facts(case: Case, content: Content, flights: Sequence[Flight]) -> dict[str, Any]:
     """The row of the key, but for what is measured."""
     strange = case.strange
     return {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
@@ -41,9 +42,6 @@ class Magnitude(NamedTuple):
     @property
     def inside(self) -> bool:
         return self.low <= self.true <= self.high
-
-    def row(self) -> dict[str, Any]:
-        return {**self._asdict(), "inside": self.inside}
 
 
 class Outcome(NamedTuple):
@@ -189,11 +187,9 @@ class Outcome(NamedTuple):
         true, rows = self.truth.get("budget"), self.answer.get("budget")
         if not true or not rows:
             return {}
-        said: dict[str, float] = {}
-        for row in rows:
-            said[row["cause"]] = said.get(row["cause"], 0.0) + float(row["share"])
+        said = _summed((row["cause"], row["share"]) for row in rows)
         return {
-            name: said.get(name, 0.0) - true.get(name, {}).get("share", 0.0)
+            name: said[name] - true.get(name, {}).get("share", 0.0)
             for name in sorted({*said, *true})
         }
 
@@ -216,10 +212,10 @@ class Outcome(NamedTuple):
         return _summed((row["channel"], row["share"]) for row in self.answer.get("where", ()))
 
 
-def _summed(rows: Any) -> dict[str, float]:
-    found: dict[str, float] = {}
+def _summed(rows: Any) -> defaultdict[str, float]:
+    found: defaultdict[str, float] = defaultdict(float)
     for name, value in rows:
-        found[name] = found.get(name, 0.0) + float(value)
+        found[name] += float(value)
     return found
 
 

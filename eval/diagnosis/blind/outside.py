@@ -149,6 +149,5 @@ OTHERS: Final = (
     Strange("crosstalk", "output", _crosstalk, 0.02, 0.3),
     Strange("sagging", "output", _surging, 1.0, 8.0),
 )
-STRANGE: Final = {each.id: each for each in (*MIMICS, *OTHERS)}
 # What the real engine of a case with another structure has on top, too small to be an answer.
 MISFIT: Final = ((DEADBAND, 0.3), (KINK, 0.12), (CYCLE, 0.05))

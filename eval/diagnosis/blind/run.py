@@ -10,6 +10,7 @@ import json
 import signal
 import threading
 import time
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -19,7 +20,7 @@ from typing import Any, Final, NamedTuple
 from eval.diagnosis.blind.files import read_cases
 from eval.diagnosis.diagnose import Request, diagnose_folders
 from narxcal.support.errors import ConfigError, NarxcalError
-from narxcal.support.files import atomic_write_text, to_json
+from narxcal.support.files import atomic_write_text, has_schema, to_json
 from narxcal.support.interrupt import is_interrupt, put_off, safe_interrupt
 from narxcal.support.parallel import in_processes
 from narxcal.support.progress import Progress, silent
@@ -93,13 +94,8 @@ def read_answer(out: Path, name: str) -> dict[str, Any] | None:
 
 
 def _check_out(out: Path) -> None:
-    if not out.exists() or (out.is_dir() and not any(out.iterdir())):
-        return
-    try:
-        found = json.loads((out / ANSWERS).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        found = None
-    if not isinstance(found, dict) or found.get("schema") != SCHEMA:
+    empty = not out.exists() or (out.is_dir() and not any(out.iterdir()))
+    if not empty and not has_schema(out / ANSWERS, SCHEMA):
         raise ConfigError(
             f"output folder {out} holds other content and is not written to",
             hint="Choose another name, or that of an earlier `blind run` to go on with it",
@@ -169,11 +165,8 @@ def _stop(*_: object) -> None:
 
 def _counted(out: Path, cases: list[str]) -> dict[str, Any]:
     answers = {name: read_answer(out, name) or {} for name in cases}
-    ends = [
-        answer.get("kind", "answered") if answer.get("schema") == FAILED_SCHEMA else "answered"
-        for answer in answers.values()
-    ]
+    ends = Counter(answer.get("kind", "answered") for answer in answers.values())
     return {
-        "ends": {end: ends.count(end) for end in sorted(set(ends))},
+        "ends": dict(sorted(ends.items())),
         "seconds": {name: answer.get("seconds") for name, answer in answers.items()},
     }

@@ -270,7 +270,7 @@ def _outcome(outcome: Outcome) -> dict[str, Any]:
         "predicted": said[0],
         "realised": said[1],
         "shares": outcome.share_errors,
-        "sizes": [each.row() for each in outcome.magnitudes],
+        "sizes": [{**size._asdict(), "inside": size.inside} for size in outcome.magnitudes],
         "seconds": outcome.seconds,
     }
 
@@ -308,14 +308,13 @@ def shown(row: Mapping[str, Any]) -> str:
     if value is None or not math.isfinite(value):
         return "-"
     if "low" not in row:
-        return f"{value:.3g} {row.get('unit', '')}".rstrip()
+        return f"{value:.3g}"
     return f"{value:.2f} [{row['low']:.2f}, {row['high']:.2f}]"
 
 
 def _main(document: Mapping[str, Any]) -> Table:
     rows = [
-        [_named(row), shown({**row, "unit": ""}), _counted(row) if "of" in row else ""]
-        for row in document["table"]
+        [_named(row), shown(row), _counted(row) if "of" in row else ""] for row in document["table"]
     ]
     return "Blind test", ("", "all [95 %]", "n"), rows
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
@@ -22,24 +22,24 @@ from eval.diagnosis.blind.cases import (
     Case,
     Offer,
     Scale,
-    Windows,
     draw_cases,
     drawn,
 )
 from eval.diagnosis.blind.make import Made, made_from
-from eval.diagnosis.blind.outside import MIMICS, MISFIT, OTHERS, applied
+from eval.diagnosis.blind.outside import MIMICS, MISFIT, applied
 from eval.diagnosis.blind.truth import (
     NOTHING,
     OUTPUTS,
-    WHITE,
+    STRETCH_S,
     Channels,
     Content,
-    hidden_windows,
-    outputs_for,
+    Flight,
+    Specimen,
+    outputs_of,
 )
 from eval.diagnosis.pairs import read_folder
-from narxcal.flight_test.sensors import ChannelSensor, SensorConfig, Streams, record
-from narxcal.flight_test.signals import first_order
+from narxcal.flight_test.scenario import drawn_windows
+from narxcal.flight_test.signals import first_order, within
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
 
@@ -47,68 +47,55 @@ _SPOOL_S, _GAS_S = 1.6, 0.8  # after a bleed opens, N2 and exhaust temperature t
 _SWITCHES: Final = ("NAI", "WAI", "ECS")
 
 
-class View(NamedTuple):
-    """One simulated flight, `(time,)` each; `power` goes from 0 to 1, `windows` are hidden."""
-
-    number: int
-    channels: Channels
-    dt_s: float
-    power: FloatArray
-    windows: Windows
-
-
 def switches_of(channels: Channels) -> tuple[str, ...]:
     return tuple(n for n in _SWITCHES if n in channels and np.ptp(channels[n]) > 0.0)
 
 
-def _bled(view: View, share: FloatArray) -> Channels:
+def _bled(flight: Flight, power: FloatArray, share: FloatArray) -> Channels:
     """A share of the core's air is taken away: hotter, and N2 up a little to keep N1."""
-    p = np.clip(view.power, 0.0, 1.2)
-    slow = first_order(share, _SPOOL_S, view.dt_s)
-    fast = first_order(share, _GAS_S, view.dt_s)
+    slow = first_order(share, _SPOOL_S, flight.dt_s)
+    fast = first_order(share, _GAS_S, flight.dt_s)
     return {
-        "EGT_C": 1100.0 * fast * (0.65 + 0.35 * p**1.5),
-        "N2_pct": 16.0 * slow * (1.0 - 0.5 * p),
-        "FF_kgph": view.channels.get("FF_kgph", np.zeros(1)) * 1.6 * fast,
+        "EGT_C": 1100.0 * fast * (0.65 + 0.35 * power**1.5),
+        "N2_pct": 16.0 * slow * (1.0 - 0.5 * power),
+        "FF_kgph": flight.inputs.get("FF_kgph", np.zeros(1)) * 1.6 * fast,
     }
 
 
-def _bleed(view: View, size: float) -> Channels:
-    on = sum(view.channels[name] for name in switches_of(view.channels))
-    return _bled(view, size * np.minimum(np.asarray(on, np.float64) + 0.0 * view.power, 1.0))
+def _bleed(flight: Flight, power: FloatArray, size: float) -> Channels:
+    on = sum(flight.inputs[name] for name in switches_of(flight.inputs))
+    return _bled(flight, power, size * np.minimum(np.asarray(on, np.float64) + 0.0 * power, 1.0))
 
 
-def _hidden(view: View, size: float) -> Channels:
-    time_s = np.arange(len(view.power)) * view.dt_s
-    on = np.zeros(len(time_s))
-    for start, stop in view.windows:
-        on[(time_s >= start) & (time_s < stop)] = 1.0
-    return _bled(view, size * on)
+def _hidden(flight: Flight, power: FloatArray, size: float) -> Channels:
+    on = within(np.arange(len(power), dtype=np.float64) * flight.dt_s, flight.windows)
+    return _bled(flight, power, size * on.astype(np.float64))
 
 
-def _worn(view: View, size: float) -> Channels:
+def _worn(flight: Flight, power: FloatArray, size: float) -> Channels:
     """Efficiency lost in compressor and turbine: hotter with power, N2 a little down."""
-    p = np.clip(view.power, 0.0, 1.2)
-    fuel = view.channels.get("FF_kgph", np.zeros(1))
+    fuel = flight.inputs.get("FF_kgph", np.zeros(1))
     return {
-        "EGT_C": size * (4.0 + 5.0 * p**1.3),
-        "N2_pct": -size * (0.05 + 0.12 * p),
+        "EGT_C": size * (4.0 + 5.0 * power**1.3),
+        "N2_pct": -size * (0.05 + 0.12 * power),
         "FF_kgph": fuel * 0.011 * size,
     }
 
 
-def _day(view: View, size: float) -> Channels:
+def _day(flight: Flight, power: FloatArray, size: float) -> Channels:
     """The control's N1 is off by `size` percent per degC of the day, and all else goes along."""
-    more = size * view.channels["dT_C"]
-    p = np.clip(view.power, 0.0, 1.2)
-    return {"N1_pct": more, "N2_pct": more * (0.55 - 0.2 * p), "EGT_C": more * (3.0 + 4.0 * p)}
+    more = size * flight.inputs["dT_C"]
+    return {
+        "N1_pct": more,
+        "N2_pct": more * (0.55 - 0.2 * power),
+        "EGT_C": more * (3.0 + 4.0 * power),
+    }
 
 
-def _soaked(view: View, size: float) -> Channels:
+def _soaked(flight: Flight, power: FloatArray, size: float) -> Channels:
     """Metal that is colder than the gas cools it; it heats up the faster the higher the power."""
-    egt = view.channels["EGT_C"]
-    lag_s = 45.0 + 110.0 * (1.0 - np.clip(view.power, 0.0, 1.0))
-    keep = np.exp(-view.dt_s / lag_s)
+    egt = flight.inputs["EGT_C"]
+    keep = np.exp(-flight.dt_s / (45.0 + 110.0 * (1.0 - power)))
     metal = np.empty_like(egt)
     state = float(egt[0])
     for k, (gas, share) in enumerate(zip(egt.tolist(), keep.tolist(), strict=True)):
@@ -118,7 +105,8 @@ def _soaked(view: View, size: float) -> Channels:
     return {"EGT_C": -cold, "N2_pct": -0.004 * cold}
 
 
-SHIFTS: Final[dict[str, Callable[[View, float], Channels]]] = {
+# What each adds to the outputs of a flight, by its power from 0 to 1 and a size.
+SHIFTS: Final[dict[str, Callable[[Flight, FloatArray, float], Channels]]] = {
     "bleed_extraction": _bleed,
     "unlogged_switch": _hidden,
     "deterioration": _worn,
@@ -129,11 +117,6 @@ SHIFTS: Final[dict[str, Callable[[View, float], Channels]]] = {
 
 ENGINE: Final = "maker"
 _FOLDERS: Final = ("sim", "sim_heldout")
-# The logs are behind the simulator's own sensors: noise, bias and clock are added, no more lag.
-_MEASURED = SensorConfig(
-    inputs="exact", channels={name: ChannelSensor(tau_s=0.0) for name in OUTPUTS}
-)
-_PERFECT = SensorConfig(preset="perfect", inputs="exact")
 # Standard deviation of a build, in parts of the range: offset, slope and bend over power each.
 _BUILD: Final = {"N1_pct": 0.001, "N2_pct": 0.003, "EGT_C": 0.006, "FF_kgph": 0.006}
 
@@ -156,67 +139,50 @@ def make_log_cases(folder: Path, plan: BlindPlan, logs: Path) -> Iterator[Made]:
         yield made_from(folder, plan, LogSpecimen(case, plan, flights))
 
 
-class LogSpecimen:
-    """A case whose simulator is known by its logs alone."""
+class LogSpecimen(Specimen):
+    """A case whose simulator is known by its logs alone, which are behind its own sensors."""
 
     def __init__(self, case: Case, plan: BlindPlan, logs: Sequence[Log]) -> None:
-        self.case, self.plan = case, plan
-        random = self._random(0)
+        super().__init__(case, plan, dict.fromkeys(OUTPUTS, 0.0))
+        random = self._drawn(0)
         order = random.permutation(len(logs))[: plan.flights + plan.held_out].tolist()
         self.logs = [_channels(logs[k]) for k in order]
         scatter = 0.0 if plan.build == "same" else 1.0
-        self._build = {
+        self._bends = {
             name: scatter * scale * random.standard_normal(3) for name, scale in _BUILD.items()
         }
-        self._sensors = WHITE if plan.build == "same" else _MEASURED
 
-    def flight(self, number: int) -> View:
+    def flight(self, number: int) -> Flight:
         channels = self.logs[number]
-        time_s = channels["time_s"]
-        span = [float(each["N1_pct"].min()) for each in self.logs]
-        most = max(float(each["N1_pct"].max()) for each in self.logs)
-        power = (channels["N1_pct"] - min(span)) / (most - min(span))
-        windows = hidden_windows(self._random(2, number), float(time_s[-1] - time_s[0]))
-        return View(number, channels, float(time_s[1] - time_s[0]), power, windows)
+        windows = drawn_windows(self._drawn(2, number), float(channels["time_s"][-1]), STRETCH_S)
+        return Flight(number, channels, windows)
 
     def simulated(
-        self, flight: View, content: Content = NOTHING, *, built: bool = False
+        self, flight: Flight, content: Content = NOTHING, *, built: bool = False
     ) -> Channels:
-        """What the simulator says, `(time,)`, with the case's content added where it is given.
-
-        With `built` it has the build of the real engine.
-        """
         seen = self._built(flight, content) if built else self._with(flight, content)
-        return seen if content == NOTHING else self._shown(seen, flight, content, _PERFECT)
+        return seen if content == NOTHING else self._shown(seen, flight, content, self._perfect)
 
-    def both(self, flight: View, content: Content) -> tuple[Channels, Channels]:
-        """What is so, as sensors without noise show it with their faults; and what is recorded."""
-        real = self._real(flight, content)
-        return (
-            self._shown(real, flight, content, _PERFECT),
-            self._shown(real, flight, content, self._sensors),
-        )
-
-    def _real(self, flight: View, content: Content) -> Channels:
+    def _real(self, flight: Flight, content: Content) -> Channels:
         real = self._built(flight, content)
         for what, size in MISFIT if self.case.base.misfit else ():
             real = applied(what, "output", real, size)
         return real
 
-    def _built(self, flight: View, content: Content) -> Channels:
+    def _built(self, flight: Flight, content: Content) -> Channels:
         real = self._with(flight, content)
-        p = flight.power - 0.5
-        for name, (a, b, c) in self._build.items():
-            if name in real and name in outputs_for(real):
-                span = float(np.ptp(flight.channels[name]))
-                real[name] = real[name] + span * (a + 2.0 * b * p + 4.0 * c * p**2)
+        p = self._power(flight) - 0.5
+        for name in outputs_of(real):
+            a, b, c = self._bends[name]
+            span = float(np.ptp(flight.inputs[name]))
+            real[name] = real[name] + span * (a + 2.0 * b * p + 4.0 * c * p**2)
         return real
 
-    def _with(self, flight: View, content: Content) -> Channels:
-        found = dict(flight.channels)
+    def _with(self, flight: Flight, content: Content) -> Channels:
+        found = dict(flight.inputs)
         for dose in content.doses:
             if dose.scale.id in SHIFTS:
-                shifts = SHIFTS[dose.scale.id](flight, dose.size)
+                shifts = SHIFTS[dose.scale.id](flight, self._power(flight), dose.size)
                 found |= {n: found[n] + each for n, each in shifts.items() if n in found}
         for dose in content.doses:
             if dose.scale.id == "throttle_delay":
@@ -225,17 +191,16 @@ class LogSpecimen:
             found = applied(self.case.strange, "output", found, content.strange)
         return found
 
-    def _shown(
-        self, seen: Channels, flight: View, content: Content, sensors: SensorConfig
-    ) -> Channels:
-        faults = [dose.fault(ENGINE) for dose in content.doses if dose.on_sensor]
-        seed = int(self._random(1).integers(2**31))
-        names = [name for name in outputs_for(seen) if name in seen]
-        arriving = {name: seen[name] for name in names}
-        found = record(arriving, flight.dt_s, sensors, Streams(seed, flight.number, 0), faults)
-        return {**seen, **{name: found.channels[name] for name in names}}
+    def _power(self, flight: Flight) -> FloatArray:
+        """N1 from 0 to 1 over all flights of the case."""
+        least = min(float(each["N1_pct"].min()) for each in self.logs)
+        most = max(float(each["N1_pct"].max()) for each in self.logs)
+        return (flight.inputs["N1_pct"] - least) / (most - least)
 
-    def _random(self, purpose: int, number: int = 0) -> np.random.Generator:
+    def _seed(self, _flight: Flight) -> int:
+        return int(self._drawn(1).integers(2**31))
+
+    def _drawn(self, purpose: int, number: int = 0) -> np.random.Generator:
         return drawn(self.plan, 4, self.case.number, purpose, number)
 
 
@@ -251,13 +216,12 @@ def offer_of(flights: Sequence[Log]) -> Offer:
 
     def possible(scale: Scale) -> bool:
         if scale.channel is not None:
-            return scale.channel in outputs_for(first) and scale.channel in first
+            return scale.channel in outputs_of(first)
         return scale.id == "throttle_delay" or (scale.id in SHIFTS and scale.id not in missing)
 
     return Offer(
         tuple(scale for scale in CATALOGUE if possible(scale)),
         tuple(each for each in MIMICS if each.on == "output"),
-        OTHERS,
         ENGINE,
     )
 
@@ -274,5 +238,4 @@ def _channels(log: Log) -> Channels:
 
 def _late(channels: Channels, steps: float) -> Channels:
     index = np.arange(len(channels["time_s"]), dtype=np.float64)
-    names = [name for name in outputs_for(channels) if name in channels]
-    return {name: np.interp(index - steps, index, channels[name]) for name in names}
+    return {n: np.interp(index - steps, index, channels[n]) for n in outputs_of(channels)}

@@ -21,43 +21,22 @@ from narxcal.turbofan.cycle import Health
 Channels = dict[str, FloatArray]
 Engine = VirtualEngine | LumpedEngine
 OUTPUTS: Final = ("N1_pct", "N2_pct", "EGT_C", "FF_kgph")
-_MEASURED = SensorConfig(inputs="exact")
 # The lags of the instrumentation itself are known and in the simulator: they are no gap.
-_KNOWN = SensorConfig(
-    preset="perfect",
-    inputs="exact",
-    channels={name: ChannelSensor(tau_s=_MEASURED.sensor(name).tau_s) for name in OUTPUTS},
-)
+LAGS_S: Final = {name: SensorConfig().sensor(name).tau_s for name in OUTPUTS}
 # What a simulator's maker adds to its outputs for a recording: white noise and steps.
-WHITE: Final = SensorConfig(
-    preset="perfect",
-    inputs="exact",
-    channels={
-        "N1_pct": ChannelSensor(noise_sigma=0.04, resolution=0.02),
-        "N2_pct": ChannelSensor(noise_sigma=0.04, resolution=0.02),
-        "EGT_C": ChannelSensor(noise_sigma=1.0, resolution=0.5),
-        "FF_kgph": ChannelSensor(noise_share=0.004, resolution=1.0),
-    },
-)
-_WHITE_BEHIND_LAGS = SensorConfig(
-    preset="perfect",
-    inputs="exact",
-    channels={
-        name: _KNOWN.channels[name].model_copy(update=sensor.model_dump(exclude_unset=True))
-        for name, sensor in WHITE.channels.items()
-    },
-)
-_STRETCH_S = 240.0  # one window of an unlogged switch in each
+_WHITE: Final = {
+    "N1_pct": {"noise_sigma": 0.04, "resolution": 0.02},
+    "N2_pct": {"noise_sigma": 0.04, "resolution": 0.02},
+    "EGT_C": {"noise_sigma": 1.0, "resolution": 0.5},
+    "FF_kgph": {"noise_share": 0.004, "resolution": 1.0},
+}
+STRETCH_S: Final = 240.0  # one window of an unlogged switch in each
 
 
 def outputs_of(channels: Mapping[str, FloatArray]) -> tuple[str, ...]:
     """Names of the outputs among channels: without a lever, the fuel flow drives and is none."""
-    return tuple(name for name in outputs_for(channels) if name in channels)
-
-
-def outputs_for(inputs: Mapping[str, FloatArray]) -> tuple[str, ...]:
-    """Names of the outputs that an engine with these inputs may have."""
-    return OUTPUTS if "TRA_deg" in inputs else OUTPUTS[:3]
+    names = OUTPUTS if "TRA_deg" in channels else OUTPUTS[:3]
+    return tuple(name for name in names if name in channels)
 
 
 class Content(NamedTuple):
@@ -71,7 +50,10 @@ NOTHING: Final = Content()
 
 
 class Flight(NamedTuple):
-    """Inputs of one flight with its time, `(time,)` each, and the windows of a hidden switch."""
+    """What is given of one flight, `(time,)` each, and the windows of a hidden switch.
+
+    That is its inputs with their time, or all channels of a simulator's log.
+    """
 
     number: int
     inputs: Channels
@@ -83,11 +65,22 @@ class Flight(NamedTuple):
 
 
 class Specimen:
-    """The case with its flights: what the simulator says, what is so, and what is recorded."""
+    """The case with its flights: what the simulator says, what is so, and what is recorded.
 
-    def __init__(self, case: Case, plan: BlindPlan) -> None:
+    Sensors have the lags `lags_s`, by channel.
+    """
+
+    def __init__(self, case: Case, plan: BlindPlan, lags_s: Mapping[str, float] = LAGS_S) -> None:
         self.case, self.plan = case, plan
         self.build = build_scatter(self._random("build", 0), case.base.build_pct)
+        lags = {name: ChannelSensor(tau_s=tau_s) for name, tau_s in lags_s.items()}
+        white = {name: lag.model_copy(update=_WHITE[name]) for name, lag in lags.items()}
+        self._perfect = SensorConfig(preset="perfect", channels=lags)
+        self._sensors = (
+            SensorConfig(preset="perfect", channels=white)
+            if plan.build == "same"
+            else SensorConfig(channels=lags)
+        )
 
     def flight(self, number: int) -> Flight:
         random = self._random("flight", number)
@@ -100,7 +93,8 @@ class Specimen:
         inputs = dict(plan_flight(plan, int(random.integers(2**31)))["left"])
         if self.case.engine == "lumped_fuel":
             inputs = _fuelled(inputs)
-        return Flight(number, inputs, hidden_windows(random, float(inputs["time_s"][-1])))
+        windows = drawn_windows(random, float(inputs["time_s"][-1]), STRETCH_S)
+        return Flight(number, inputs, windows)
 
     def simulated(
         self, flight: Flight, content: Content = NOTHING, *, built: bool = False
@@ -113,17 +107,18 @@ class Specimen:
         inside = [each.unmodelled(flight.windows) for each in content.doses if not each.on_sensor]
         ids = {each.id: each for each in inside}
         for name, factor in (("heat_soak", base.soak), ("spool_lag", base.inertia)):
-            ids[name] = _multiplied(ids.get(name), name, factor)
+            # On top of a simulator that is off by a factor itself.
+            before = ids.get(name, Unmodelled(name)).value("factor")
+            ids[name] = Unmodelled(name, {"factor": before * factor})
         engine = self._engine(self.build if built else None, list(ids.values()), base.probe)
-        return self._shown(self._run(engine, flight, content), flight, content, _KNOWN)
+        return self._shown(self._run(engine, flight, content), flight, content, self._perfect)
 
     def both(self, flight: Flight, content: Content) -> tuple[Channels, Channels]:
         """What is so, as sensors without noise show it with their faults; and what is recorded."""
         real = self._real(flight, content)
-        sensors = _WHITE_BEHIND_LAGS if self.plan.build == "same" else _MEASURED
         return (
-            self._shown(real, flight, content, _KNOWN),
-            self._shown(real, flight, content, sensors),
+            self._shown(real, flight, content, self._perfect),
+            self._shown(real, flight, content, self._sensors),
         )
 
     def _real(self, flight: Flight, content: Content) -> Channels:
@@ -156,40 +151,31 @@ class Specimen:
             arriving = applied(what, "input", arriving, size)
         inputs = {name: arriving[name] for name in engine.input_names}
         outputs = engine.simulate(inputs, flight.dt_s)
-        seen = {**flight.inputs, **{name: outputs[name] for name in outputs_for(arriving)}}
+        seen = {**flight.inputs, **{name: outputs[name] for name in OUTPUTS}}
         for what, size in changes:
             seen = applied(what, "output", seen, size)
-        return seen
+        return seen | flight.inputs
 
     def _shown(
         self, seen: Channels, flight: Flight, content: Content, sensors: SensorConfig
     ) -> Channels:
         faults = [each.fault(self.case.engine) for each in content.doses if each.on_sensor]
-        seed = int(self._random("sensors", flight.number).integers(2**31))
-        found = record(seen, flight.dt_s, sensors, Streams(seed, flight.number, 0), faults)
-        names = outputs_for(flight.inputs)
-        return {**flight.inputs, **{name: found.channels[name] for name in names}}
+        outputs = {name: seen[name] for name in outputs_of(seen)}
+        streams = Streams(self._seed(flight), flight.number, 0)
+        return seen | record(outputs, flight.dt_s, sensors, streams, faults).channels
+
+    def _seed(self, flight: Flight) -> int:
+        """Seed of the sensors' noise."""
+        return int(self._random("sensors", flight.number).integers(2**31))
 
     def _random(self, purpose: str, number: int) -> np.random.Generator:
         code = int.from_bytes(purpose.encode()[:4], "big")
         return drawn(self.plan, 1, self.case.number, code, number)
 
 
-def _multiplied(given: Unmodelled | None, name: str, factor: float) -> Unmodelled:
-    """An effect on top of a simulator that is off by a factor itself."""
-    before = 1.0 if given is None else given.value("factor")
-    return Unmodelled(name, {"factor": before * factor})
-
-
 def _fuelled(inputs: Channels) -> Channels:
     """Inputs with the fuel flow that a governed engine would take in the place of its lever."""
     dt_s = float(inputs["time_s"][1] - inputs["time_s"][0])
     fuel = LumpedEngine("lumped_n2").simulate(inputs, dt_s)["FF_kgph"]
-    return {
-        ("FF_kgph" if n == "TRA_deg" else n): (fuel if n == "TRA_deg" else v)
-        for n, v in inputs.items()
-    }
-
-
-def hidden_windows(random: np.random.Generator, end_s: float) -> Windows:
-    return drawn_windows(random, end_s, _STRETCH_S)
+    changed = {**inputs, "TRA_deg": fuel}
+    return {("FF_kgph" if n == "TRA_deg" else n): values for n, values in changed.items()}

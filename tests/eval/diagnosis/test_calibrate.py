@@ -79,8 +79,7 @@ def test_an_effect_that_is_right_more_often_than_its_share_says_is_surer(tmp_pat
         for engine in ("maker", "lumped", "foreign")
         for k, content in enumerate([("pair", ["a", "b"], 0.5)] * 8 + [("null", [], 0.0)] * 2)
     ]
-    rows = left_out(cases)
-    named = [row["probability"] for row in rows if row["kind"] == "pair"]
+    named = [each.sureness for each in left_out(cases) if each.kind == "pair"]
     assert np.mean(named) == pytest.approx(0.8, abs=0.1)
     assert fit(cases).acts != (0.0, 1.0)
 

@@ -8,7 +8,7 @@ import pytest
 
 from eval.diagnosis.blind import files, truth
 from eval.diagnosis.blind.cases import BlindPlan
-from eval.diagnosis.blind.make import make_cases
+from eval.diagnosis.blind.make import make_cases, write_key
 from eval.diagnosis.blind.outcome import Outcome
 from narxcal.flight_test.signals import first_order
 from narxcal.turbofan.engine import INPUT_NAMES
@@ -82,7 +82,7 @@ def made_once(plan, quick_seal, tmp_path_factory):
     folder = tmp_path_factory.mktemp("made")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(truth, "VirtualEngine", LagEngine)
-        make_cases(folder, plan, "4")
+        write_key(folder, plan, "4", make_cases(folder, plan))
     return folder
 
 

@@ -13,7 +13,7 @@ SALT = b"salt of these cases"
 
 def test_what_is_sealed_opens():
     content = sealed(KEY, "secret", SALT)
-    assert opened(content, "secret", SALT) == KEY
+    assert opened(content, ["secret"], SALT) == KEY
     assert content == sealed(KEY, "secret", SALT)
 
 
@@ -27,7 +27,7 @@ def test_nothing_of_it_is_to_be_read():
 @pytest.mark.parametrize(("secret", "salt"), [("Secret", SALT), ("", SALT), ("secret", b"other")])
 def test_another_secret_or_salt_does_not_open_it(secret, salt):
     with pytest.raises(ConfigError, match=r"key.sealed: the key does not open: the secret is"):
-        opened(sealed(KEY, "secret", SALT), secret, salt, "key.sealed")
+        opened(sealed(KEY, "secret", SALT), [secret], salt, "key.sealed")
 
 
 @settings(max_examples=20)
@@ -36,13 +36,13 @@ def test_any_changed_byte_is_noticed(place, flip):
     content = bytearray(sealed(KEY, "secret", SALT))
     content[len(MARK) + place % (len(content) - len(MARK))] ^= flip
     with pytest.raises(ConfigError, match="does not open"):
-        opened(bytes(content), "secret", SALT)
+        opened(bytes(content), ["secret"], SALT)
 
 
 @pytest.mark.parametrize("content", [b"", b"{}", MARK, MARK + b"short"])
 def test_what_is_no_key_is_said_to_be_none(content):
     with pytest.raises(DataError, match="is no sealed key"):
-        opened(content, "secret", SALT)
+        opened(content, ["secret"], SALT)
 
 
 def test_salts_give_other_streams():

@@ -13,7 +13,7 @@ import pytest
 from numba import njit
 
 from eval.diagnosis.blind import run
-from eval.diagnosis.blind.make import make_cases
+from eval.diagnosis.blind.make import make_cases, write_key
 from eval.diagnosis.blind.run import Judge, Limits, read_answer, run_cases
 from eval.diagnosis.blind.score import CaseSet, score_answers
 from eval.diagnosis.diagnose import Request
@@ -70,7 +70,8 @@ def test_several_folders_are_scored_together_each_under_its_own_secret(
 ):
     other, out, theirs = tmp_path / "other", tmp_path / "out", tmp_path / "theirs"
     other.mkdir()
-    make_cases(other, plan.model_copy(update={"cases": 1, "seed": 5}), "five")
+    plan = plan.model_copy(update={"cases": 1, "seed": 5})
+    write_key(other, plan, "five", make_cases(other, plan))
     run_cases(made, out)
     run_cases(other, theirs)
     sets = [CaseSet(made, out), CaseSet(other, theirs)]

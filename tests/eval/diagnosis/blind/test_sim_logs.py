@@ -10,12 +10,11 @@ from eval.diagnosis.blind.make import write_key
 from eval.diagnosis.blind.sim_logs import (
     SHIFTS,
     LogSpecimen,
-    View,
     make_log_cases,
     offer_of,
     switches_of,
 )
-from eval.diagnosis.blind.truth import NOTHING
+from eval.diagnosis.blind.truth import NOTHING, Flight
 from eval.diagnosis.pairs import read_folder
 from narxcal.effects.library import name_of
 from narxcal.flight_test.signals import first_order
@@ -105,8 +104,8 @@ def test_effects_that_these_logs_cannot_hold_are_left_out(tmp_path):
 @pytest.mark.parametrize("effect", SHIFTS)
 def test_shifts_are_proportional_to_their_size(effect):
     given = channels(1)
-    view = View(0, given, 0.125, (given["N1_pct"] - 25.0) / 75.0, ((100.0, 160.0),))
-    small, large = (SHIFTS[effect](view, size) for size in (0.01, 0.02))
+    flight, power = Flight(0, given, ((100.0, 160.0),)), (given["N1_pct"] - 25.0) / 75.0
+    small, large = (SHIFTS[effect](flight, power, size) for size in (0.01, 0.02))
     for name in set(small) & set(given):
         np.testing.assert_allclose(large[name], 2.0 * small[name], rtol=1e-9, atol=1e-12)
         assert np.abs(small[name]).max() > 0.0
@@ -114,14 +113,14 @@ def test_shifts_are_proportional_to_their_size(effect):
 
 def test_a_hidden_load_acts_in_its_windows_and_a_bleed_with_its_switch():
     given = channels(1)
-    view = View(0, given, 0.125, (given["N1_pct"] - 25.0) / 75.0, ((100.0, 160.0),))
+    flight, power = Flight(0, given, ((100.0, 160.0),)), (given["N1_pct"] - 25.0) / 75.0
     assert switches_of(given) == ("NAI",)
     time_s = given["time_s"]
     for effect, on in (
         ("unlogged_switch", (time_s >= 100.0) & (time_s < 160.0)),
         ("bleed_extraction", time_s > 300.0),
     ):
-        hotter = SHIFTS[effect](view, 0.02)["EGT_C"]
+        hotter = SHIFTS[effect](flight, power, 0.02)["EGT_C"]
         first = np.argmax(on)
         assert np.all(hotter[:first] == 0.0)
         assert hotter[on][80:].min() > 5.0
