@@ -53,16 +53,12 @@ def batch(pairs: Sequence[Pair], rate_hz: float = RATE_HZ, keep_hz: float = KEEP
     none = np.zeros(len(outputs))
     signals = Signals(inputs, outputs, pairs[0].dt_s * size, pairs[0].driver, none, none)
     signals = _in_ranges(signals, np.concatenate(u), np.concatenate(y))
-    longest = max(len(each) for each in u)
-    flights = Flights(
-        signals,
-        np.stack([_padded(each, longest) for each in u]),
-        np.stack([_padded(each, longest) for each in y]),
-        np.array([len(each) for each in u]),
-    )
-    measured = np.stack([_padded(each, longest, np.nan) for each in real])
+    flights = Flights(signals, filled_up(u), filled_up(y), np.array([len(each) for each in u]))
+    inside = np.arange(flights.u.shape[1]) < flights.lengths[:, None]
+    measured = np.where(inside[..., None], filled_up(real), np.nan)
     gaps = [r - s for r, s in zip(real, y, strict=True)]
-    noise = np.maximum(_noise(gaps), _SILENT * (signals.high - signals.low))
+    noise = np.median([[_fast_part(one) for one in gap.T] for gap in gaps], axis=0)
+    noise = np.maximum(noise, _SILENT * (signals.high - signals.low))
     fast = _fast_energy(pairs, outputs, gaps)
     names = tuple(pair.name for pair in pairs)
     return Record(flights, measured, noise, _units(flights), _groups(flights), fast, names)
@@ -76,10 +72,10 @@ def _blocks(channels: Mapping[str, FloatArray], names: Sequence[str], size: int)
     return block_means(np.column_stack([channels[name] for name in names]), size)
 
 
-def _padded(rows: FloatArray, length: int, filling: float | None = None) -> FloatArray:
-    last = rows[-1] if filling is None else np.full(rows.shape[1], filling)
-    rest = np.repeat(last[None], length - len(rows), axis=0)
-    return np.concatenate([rows, rest])
+def filled_up(parts: Sequence[FloatArray]) -> FloatArray:
+    """Flights (time, n) as one array (flights, time, n), shorter ones with their last row on."""
+    longest = max(map(len, parts))
+    return np.stack([np.pad(one, ((0, longest - len(one)), (0, 0)), "edge") for one in parts])
 
 
 def _in_ranges(signals: Signals, u: FloatArray, y: FloatArray) -> Signals:
@@ -104,26 +100,16 @@ def _fast_energy(
     return np.asarray(np.maximum(lost, 0.0))
 
 
-def _noise(gaps: Sequence[FloatArray]) -> FloatArray:
-    return np.array(
-        [float(np.median([_fast_part(gap[:, k]) for gap in gaps])) for k in range(gaps[0].shape[1])]
-    )
-
-
 def _fast_part(gap: FloatArray) -> float:
     """Noise of one gap: robust, and not fooled by a coarse resolution.
 
     Readings that mostly repeat give a median of none; the smaller nine tenths of the second
     differences then tell.
     """
-    found = noise_level(gap)
-    if found > 0.0:
+    found, bends = noise_level(gap), np.abs(np.diff(gap, 2))
+    if found > 0.0 or not np.isfinite(bends).any():
         return found
-    bends = np.abs(np.diff(gap, 2))
-    bends = bends[np.isfinite(bends)]
-    if not len(bends):
-        return 0.0
-    small = bends[bends <= np.percentile(bends, _TRIMMED)]
+    small = bends[bends <= np.nanpercentile(bends, _TRIMMED)]
     return float(np.sqrt(np.mean(small**2) / 6.0))
 
 
@@ -312,18 +298,9 @@ def together(first: Flights, others: Flights) -> Flights:
     What was recorded is no part of it: what a simulator says of a flight is known before anybody
     has flown it.
     """
-    longest = max(first.u.shape[1], others.u.shape[1])
-    u, y = (
-        np.concatenate([_lengthened(part, longest) for part in parts])
-        for parts in ((first.u, others.u), (first.y, others.y))
-    )
+    u, y = filled_up([*first.u, *others.u]), filled_up([*first.y, *others.y])
     signals = _in_ranges(first.signals, *(each.reshape(-1, each.shape[2]) for each in (u, y)))
     return Flights(signals, u, y, np.concatenate([first.lengths, others.lengths]))
-
-
-def _lengthened(rows: FloatArray, longest: int) -> FloatArray:
-    rest = np.repeat(rows[:, -1:], longest - rows.shape[1], axis=1)
-    return np.concatenate([rows, rest], axis=1)
 
 
 def _input(data: Record, other: Record, name: str) -> FloatArray:

@@ -28,6 +28,7 @@ from scipy.special import ndtr
 
 from eval.cards.card import Card, Flown, Step, Wanted, admitted, check_channels, planned
 from eval.diagnosis.applied import EMULATOR, gap_document, read_emulator, signals_from_json
+from eval.diagnosis.flights import filled_up
 from narxcal.effects.base import Effect, Signals
 from narxcal.effects.library import effect, name_of
 from narxcal.effects.running import Flights, response
@@ -173,9 +174,7 @@ def _hypothesis(name: str, row: Mapping[str, Any], signals: Signals) -> Hypothes
 def simulated(open_: Undecided, inputs: Sequence[FloatArray]) -> Flights:
     """Flights of the emulator from equilibrium over inputs (time, n_in) of each."""
     lengths = np.array([len(u) for u in inputs], dtype=np.int64)
-    filled = [np.concatenate([u, np.repeat(u[-1:], lengths.max() - len(u), axis=0)])
-              for u in inputs]  # fmt: skip
-    u = np.stack(filled)
+    u = filled_up(inputs)
     begun = Flights(open_.signals, u, open_.emulator.settled.outputs(u), lengths)
     return replace(begun, y=open_.emulator.free_run(begun))
 
