@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from training.responses.response import HIGH, LOW
 Regimes = dict[str, tuple[tuple[str, ...], IntArray]]
 DIRECTIONS = ("push", "pull", "steady")
 PHASES = ("initiation", "transit", "settling", "steady")
-# What the lever does and how far the response is, in the order of the numbers in `Bins.move`.
+# What the lever does and how far the response is, in the order of the numbers of `moves_of`.
 MOVES = (
     ("steady", "steady"),
     *((direction, phase) for direction in DIRECTIONS[:2] for phase in PHASES[:3]),
@@ -163,20 +163,8 @@ def _counted(count: int, plural: str) -> str:
 _BLOCK_S, _MOST = 300.0, 6  # of a flight, where fewer than three stand for themselves
 
 
-@dataclass(frozen=True, eq=False)
-class Bins:
-    """`move` (flights, time) is a row of `MOVES`; -1 beyond a flight's end.
-
-    `regimes` maps altitude, Mach, power and bleed, as far as the inputs tell, to the names of
-    their levels and which one each sample is in, (flights, time).
-    """
-
-    move: IntArray
-    regimes: Regimes
-
-
-def sort_samples(data: Record, events: Sequence[Sequence[Event]]) -> Bins:
-    """Find direction, phase and regime of every sample."""
+def moves_of(data: Record, events: Sequence[Sequence[Event]]) -> IntArray:
+    """Row of `MOVES` (flights, time) that each sample is in; -1 beyond a flight's end."""
     flights = data.flights
     move = np.full(flights.u.shape[:2], -1)
     for f, found in enumerate(events):
@@ -184,7 +172,7 @@ def sort_samples(data: Record, events: Sequence[Sequence[Event]]) -> Bins:
         move[f, :n] = 0
         for event in found:
             move[f, event.start + 1 : event.stop] = _phases(flights.y[f, :, 0], event, data.span[0])
-    return Bins(move, _regimes(data))
+    return move
 
 
 def _phases(y: FloatArray, event: Event, span: float) -> IntArray:
@@ -203,7 +191,11 @@ def _phases(y: FloatArray, event: Event, span: float) -> IntArray:
     return phases
 
 
-def _regimes(data: Record) -> Regimes:
+def regimes_of(data: Record) -> Regimes:
+    """Altitude, Mach, power and bleed, as far as the inputs tell.
+
+    Each has the names of its levels, and which one each sample is in, (flights, time).
+    """
     flights, signals = data.flights, data.flights.signals
     values = {"power": signals.power(flights.y)}
     for name, channel in (("altitude", "ALT_ft"), ("Mach", "Mach")):
@@ -258,7 +250,7 @@ def _groups(flights: Flights) -> tuple[int, ...]:
 
 def phases_of(data: Record) -> Phases:
     names = tuple("steady" if d == "steady" else f"{d}_{p}" for d, p in MOVES)
-    return Phases(names, sort_samples(data, events_of(data)).move)
+    return Phases(names, moves_of(data, events_of(data)))
 
 
 _HINT = "Record and simulate them with the channels and at the rate of the others"
