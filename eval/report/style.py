@@ -23,17 +23,14 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.ticker import FuncFormatter, MaxNLocator
-from numpy.typing import NDArray
 
 from narxcal.channels import described, symbol
 from narxcal.intervals import LEVEL
-from narxcal.support.arrays import BoolArray, FloatArray
+from narxcal.support.arrays import AnyFloats, BoolArray, FloatArray
 from narxcal.support.arrays import spans as runs_of
 from narxcal.support.moments import dated, elapsed, stamp
 
 NOTHING = "\N{EN DASH}"
-
-AnyFloats = NDArray[np.floating[Any]]
 
 MAX_POINTS = 1500
 
