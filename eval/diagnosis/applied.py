@@ -60,12 +60,9 @@ class FoundEffects:
     windows: Windows = field(default_factory=dict)
     searched: frozenset[str] = frozenset()
 
-    @property
-    def has_load(self) -> bool:
-        return UNLOGGED_SWITCH.id in self.values
-
-    def knows(self, name: str) -> bool:
-        return name in self.searched
+    def load_known(self, name: str) -> bool | None:
+        """Whether windows of the unlogged load were searched for in a log; None without one."""
+        return name in self.searched if UNLOGGED_SWITCH.id in self.values else None
 
     def added_to(self, log: Log, name: str | None = None) -> dict[str, FloatArray]:
         """Outputs `(time,)` of a simulated log with the effects in place.

@@ -158,18 +158,13 @@ def _fmu(path: Path) -> Simulate:
         for kind in ("input", "output")
     }
     outputs = [name for name in names["output"] if name in _OUTPUTS]
-    if not outputs:
-        raise ModelError(
-            f"no output of the FMU is one of {', '.join(_OUTPUTS)}",
-            file=path,
-            hint=f"Its outputs are {', '.join(names['output']) or 'none'}: name them so",
-        )
-    if not any(name in DRIVERS for name in names["input"]):
-        raise ModelError(
-            f"no input of the FMU is one of {', '.join(DRIVERS)}",
-            file=path,
-            hint=f"Its inputs are {', '.join(names['input']) or 'none'}: name the lever so",
-        )
+    for kind, wanted, which in (("output", _OUTPUTS, "them"), ("input", DRIVERS, "the lever")):
+        if not set(wanted) & set(names[kind]):
+            raise ModelError(
+                f"no {kind} of the FMU is one of {', '.join(wanted)}",
+                file=path,
+                hint=f"Its {kind}s are {', '.join(names[kind]) or 'none'}: name {which} so",
+            )
 
     def simulate(log: Log) -> Mapping[str, FloatArray]:
         given = [name for name in names["input"] if name in CHANNELS]
