@@ -44,11 +44,14 @@ def number(value: float | None, digits: int = 3) -> str:
     """Print `digits` significant digits without an exponent; a dash for what does not exist."""
     if value is None or not math.isfinite(value):
         return NOTHING
-    if value == 0.0:
-        return "0"
+    return "0" if value == 0.0 else f"{value:.{decimals(value, digits)}f}"
+
+
+def decimals(value: float, digits: int) -> int:
+    """Decimals, up to six, that show `digits` significant digits of a finite value but 0."""
     # The exponent after rounding: 0.9997 is 1.00, as 1.0004 is.
-    decimals = max(0, digits - 1 - int(f"{value:.{digits - 1}e}".partition("e")[2]))
-    return f"{value:.{min(decimals, 6)}f}"
+    exponent = int(f"{value:.{digits - 1}e}".partition("e")[2])
+    return min(max(digits - 1 - exponent, 0), 6)
 
 
 @dataclass(frozen=True)
