@@ -87,7 +87,6 @@ def _bar(axes: Axes, place: int, shares: Sequence[float], colours: Sequence[str]
 
 
 _LEAD_S, _TAIL_S, _LEAST_S = 4.0, 6.0, 20.0
-REPAIRED = style.GOOD
 _WIDTH = 10.0
 _OWN, _HELD = "of the diagnosis", "that took no part"
 
@@ -105,14 +104,12 @@ class View(NamedTuple):
     whose: str
 
 
-def views(evidence: Evidence) -> tuple[View, View | None]:
-    """The flights of the diagnosis, and those that took no part where there are any."""
-    changed = bool(evidence.budget.verdict.effects)
-    own = View(evidence.data, evidence.after, evidence.where.events, changed, _OWN)
-    held = evidence.held_out
+def view_of(evidence: Evidence) -> View:
+    """The flights that took no part where there are any, else those of the diagnosis."""
+    changed, held = bool(evidence.budget.verdict.effects), evidence.held_out
     if held is None:
-        return own, None
-    return own, View(held.data, held.after, events_of(held.data), changed, _HELD)
+        return View(evidence.data, evidence.after, evidence.where.events, changed, _OWN)
+    return View(held.data, held.after, events_of(held.data), changed, _HELD)
 
 
 def largest_event(view: View, of: FloatArray) -> tuple[int, Event] | None:
@@ -223,7 +220,7 @@ def _curves(axes: Axes, view: View, place: _Place, name: str) -> None:
     style.curve(axes, time_s, view.data.flights.y[f, rows, k], style.STEADY, lw=1.6, ls="--",
                 label="simulated")  # fmt: skip
     if view.changed:
-        style.curve(axes, time_s, view.after[f, rows, k], REPAIRED, lw=2.2, alpha=0.8,
+        style.curve(axes, time_s, view.after[f, rows, k], style.GOOD, lw=2.2, alpha=0.8,
                     label="simulated + effect")  # fmt: skip
     style.curve(axes, time_s, real, style.MEASURED, lw=0.8, label="recorded")
     axes.set_ylabel(style.with_unit(name))
@@ -241,7 +238,7 @@ def _gap_strip(axes: Axes, view: View, place: _Place, name: str) -> None:
     )
     if view.changed:
         style.curve(
-            axes, time_s, real - view.after[f, rows, k], REPAIRED, lw=0.8, label="gap after"
+            axes, time_s, real - view.after[f, rows, k], style.GOOD, lw=0.8, label="gap after"
         )
     axes.set_ylabel(f"Δ{style.with_unit(name)}")
     style.ticks(axes)
