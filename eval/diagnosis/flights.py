@@ -10,6 +10,7 @@ import numpy as np
 from data_prep.events import PULL, PUSH, Event, EventsConfig, find_events
 from data_prep.log import Log
 from eval.diagnosis.pairs import RATES, Pair
+from eval.judging.outcome import plural
 from narxcal.channels import spools_of
 from narxcal.effects.base import Signals
 from narxcal.effects.running import Flights, with_load
@@ -141,23 +142,18 @@ def _log(data: Record, f: int) -> Log:
 def check_excitation(data: Record, events: Sequence[Sequence[Event]]) -> None:
     """Raise `DataError`, saying what is missing, for fewer than three pushes or three pulls."""
     labels = [event.label for flight in events for event in flight]
-    found = {"pushes": labels.count(PUSH), "pulls": labels.count(PULL)}
+    found = {("push", "pushes"): labels.count(PUSH), ("pull", "pulls"): labels.count(PULL)}
     if min(found.values()) >= FEWEST:
         return
     missing = " and ".join(
-        f"{FEWEST - count} more {kind}" for kind, count in found.items() if count < FEWEST
+        f"{FEWEST - count} more {many}" for (_, many), count in found.items() if count < FEWEST
     )
-    counted = " and ".join(_counted(count, kind) for kind, count in found.items())
+    counted = " and ".join(f"{n} {one if n == 1 else many}" for (one, many), n in found.items())
     raise DataError(
         f"too little excitation: {counted} of {data.flights.signals.driver} in "
-        f"{_counted(len(data.names), 'flights')}, {FEWEST} of each are needed",
+        f"{plural(len(data.names), 'flight')}, {FEWEST} of each are needed",
         hint=f"Fly at least {missing}, idle to high power and back",
     )
-
-
-def _counted(count: int, plural: str) -> str:
-    one = plural.removesuffix("es") if plural.endswith("shes") else plural.removesuffix("s")
-    return f"{count} {one if count == 1 else plural}"
 
 
 _BLOCK_S, _MOST = 300.0, 6  # of a flight, where fewer than three stand for themselves

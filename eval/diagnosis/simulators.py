@@ -168,8 +168,7 @@ def _fmu(path: Path) -> Simulate:
 
     def simulate(log: Log) -> Mapping[str, FloatArray]:
         given = [name for name in names["input"] if name in CHANNELS]
-        kinds = [("time", np.float64), *((name, np.float64) for name in given)]
-        rows = np.zeros(len(log), dtype=kinds)
+        rows = np.zeros(len(log), dtype=[(name, np.float64) for name in ("time", *given)])
         rows["time"] = np.arange(len(log)) * log.dt_s
         for name in given:
             rows[name] = log[name]
