@@ -30,7 +30,7 @@ from narxcal.channels import CHANNELS
 from narxcal.effects.base import Signals
 from narxcal.effects.running import Flights, Setting, acts_inside, arrived, read
 from narxcal.effects.steady import UNLOGGED, UNLOGGED_SWITCH
-from narxcal.support.arrays import FloatArray, block_means, bridge_gaps
+from narxcal.support.arrays import FloatArray, block_means, bridge_gaps, on_lines
 from narxcal.support.errors import ConfigError, DataError, ModelError, NarxcalError
 from narxcal.two_spool import TwoSpool
 from training.diagnosis.emulator import GreyBoxEmulator, SettledModel
@@ -60,12 +60,9 @@ class FoundEffects:
     windows: Windows = field(default_factory=dict)
     searched: frozenset[str] = frozenset()
 
-    @property
-    def has_load(self) -> bool:
-        return UNLOGGED_SWITCH.id in self.values
-
-    def knows(self, name: str) -> bool:
-        return name in self.searched
+    def load_known(self, name: str) -> bool | None:
+        """Whether windows of the unlogged load were searched for in a log; None without one."""
+        return name in self.searched if UNLOGGED_SWITCH.id in self.values else None
 
     def added_to(self, log: Log, name: str | None = None) -> dict[str, FloatArray]:
         """Outputs `(time,)` of a simulated log with the effects in place.
@@ -77,7 +74,9 @@ class FoundEffects:
         held = self._complete(log, name or log.name, self.signals.outputs)
         said = held.matrix(self.signals.outputs)
         u, y = held.matrix(self.signals.inputs), self._bridged(said, log)
-        changed = y + (self._change(u, y, log) if self.values else 0.0)
+        emulated = EMULATED in self.ways(again=False).values()
+        change = self._in_blocks if emulated else self._run
+        changed = y + change(self.values, u, y, log.dt_s)
         changed[~np.isfinite(said)] = np.nan
         return dict(zip(self.signals.outputs, changed.T, strict=True))
 
@@ -101,7 +100,7 @@ class FoundEffects:
         outputs = dict(simulate(self._run_on(log.with_channels(changed))))
         said = self._diagnosed(outputs, log)
         y = self._bridged(said, log)
-        y += self._change_inside(found, given[0], y, log)
+        y += self._change_inside(found, given[0], y, log.dt_s)
         y = np.where(np.isfinite(said), read(found, signals, given, y[None])[0], np.nan)
         return {**outputs, **dict(zip(signals.outputs, y.T, strict=True))}
 
@@ -184,7 +183,7 @@ class FoundEffects:
         return np.column_stack([bridge_gaps(column) for column in said.T])
 
     def _change_inside(
-        self, found: list[Setting], given: FloatArray, y: FloatArray, log: Log
+        self, found: list[Setting], given: FloatArray, y: FloatArray, dt_s: float
     ) -> FloatArray | float:
         """What effects inside change in the emulator's run of an engine with inputs `given`.
 
@@ -199,7 +198,7 @@ class FoundEffects:
             for effect, theta in found
             if acts_inside((effect, theta), self.signals)
         }
-        return self._in_blocks(inside, given, y, log) if inside else 0.0
+        return self._in_blocks(inside, given, y, dt_s) if inside else 0.0
 
     def _on(self, log: Log, name: str) -> FloatArray:
         since, on = log.time_s - log.time_s[0], np.zeros(len(log))
@@ -207,32 +206,21 @@ class FoundEffects:
             on[(since >= start_s) & (since < end_s)] = 1.0
         return on
 
-    def _change(self, u: FloatArray, y: FloatArray, log: Log) -> FloatArray:
-        if EMULATED not in self.ways(again=False).values():
-            return self._run(self.values, (u, y), log.dt_s)
-        return self._in_blocks(self.values, u, y, log)
-
-    def _in_blocks(self, values: Values, u: FloatArray, y: FloatArray, log: Log) -> FloatArray:
+    def _in_blocks(self, values: Values, u: FloatArray, y: FloatArray, dt_s: float) -> FloatArray:
         """The change on the raster of the diagnosis, carried over to that of the log."""
-        size = max(1, round(self.signals.dt_s / log.dt_s))
-        since, step_s = np.arange(len(u), dtype=np.float64) * log.dt_s, log.dt_s
+        size = max(1, round(self.signals.dt_s / dt_s))
+        since, step_s = np.arange(len(u), dtype=np.float64) * dt_s, dt_s
         if abs(size * step_s / self.signals.dt_s - 1.0) > _ONE_RASTER:
             step_s = self.signals.dt_s / size
             at = np.arange(0.0, since[-1] + 0.5 * step_s, step_s)
-            u, y = _between(at, since, u), _between(at, since, y)
-        blocks = block_means(u, size), block_means(y, size)
-        change = self._run(values, blocks, size * step_s)
+            u, y = on_lines(at, since, u), on_lines(at, since, y)
+        change = self._run(values, block_means(u, size), block_means(y, size), size * step_s)
         middles = ((np.arange(len(change), dtype=np.float64) + 0.5) * size - 0.5) * step_s
-        return _between(since, middles, change)
+        return on_lines(since, middles, change)
 
-    def _run(self, values: Values, both: tuple[FloatArray, FloatArray], dt_s: float) -> FloatArray:
-        u, y = both
+    def _run(self, values: Values, u: FloatArray, y: FloatArray, dt_s: float) -> FloatArray:
         flights = Flights(replace(self.signals, dt_s=dt_s), u[None], y[None], np.array([len(u)]))
         return np.asarray(with_effects(values, flights, self.emulator)[0] - y)
-
-
-def _between(at: FloatArray, times: FloatArray, rows: FloatArray) -> FloatArray:
-    return np.column_stack([np.interp(at, times, column) for column in rows.T])
 
 
 def read_effects(file: Path) -> FoundEffects:

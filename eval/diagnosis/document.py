@@ -137,15 +137,16 @@ def _dominant(levels: Mapping[str, float]) -> str:
 
 
 def _shrink(evidence: Evidence) -> dict[str, Any]:
-    held = evidence.held_out
-    channels = evidence.channels if held is None else held.channels
+    held, channels, on = evidence.held_out, evidence.channels, "the flights of the diagnosis"
+    if held is not None:
+        channels, on = held.channels, f"{plural(len(held.data.names), 'flight')} that took no part"
     return {
         "predicted": _within_all(evidence.predicted),
         "realised": None if held is None else held.share,
         "channels": {name: asdict(found) for name, found in channels.items()},
         "shares": {name: _taken(found) for name, found in channels.items()},
         "times": {name: asdict(found) for name, found in evidence.times.items()},
-        "on": "the flights of the diagnosis" if held is None else _flown(held),
+        "on": on,
     }
 
 
@@ -162,10 +163,6 @@ def _clipped(share: float, unknown: float) -> float:
 
 def _taken(found: ChannelShrink) -> float:
     return 1.0 - (found.after / found.before) ** 2 if found.before > 0.0 else 0.0
-
-
-def _flown(held: HeldOut) -> str:
-    return f"{plural(len(held.data.names), 'flight')} that took no part"
 
 
 def _measured(found: Budget, where: Where) -> dict[str, Any]:
@@ -236,14 +233,12 @@ def coarse_emulator(evidence: Evidence, *, again: bool) -> list[str]:
 
 
 def rests_on_emulator(values: Values, *, again: bool) -> bool:
-    return any(_emulated(name, own, again=again) for name, own in values.items())
-
-
-def _emulated(name: str, values: Mapping[str, float], *, again: bool) -> bool:
-    """Whether what it does rests on the emulator: of loads and heat what they take of the core."""
-    kind = effect(name)
-    takes = values.get(TAKEN.name, 0.0) > 0.0
-    return kind.on_rates or kind.settled or takes or (emulates_input(kind) and not again)
+    """Whether effects rest on the emulator: of loads and heat what they take of the core does."""
+    return any(
+        kind.on_rates or kind.settled or takes or (emulates_input(kind) and not again)
+        for name, own in values.items()
+        for kind, takes in [(effect(name), own.get(TAKEN.name, 0.0) > 0.0)]
+    )
 
 
 def implausible(data: Record) -> list[str]:
@@ -254,12 +249,10 @@ def implausible(data: Record) -> list[str]:
     """
     found, most = [], most_of_build(data.flights)
     for k, name in enumerate(data.flights.signals.outputs):
-        real, sim = (
-            data.real[..., k],
-            np.where(np.isfinite(data.difference[..., k]), data.flights.y[..., k], np.nan),
-        )
-        apart = _middle(real - sim)
-        if _middle(np.abs(real - sim)) <= most[k]:
+        real = data.real[..., k]
+        sim = np.where(np.isfinite(real), data.flights.y[..., k], np.nan)
+        apart, level = np.nanmedian(real - sim), np.nanmedian(sim)
+        if np.nanmedian(np.abs(real - sim)) <= most[k]:
             continue
         units = [
             f"the {side} {name} looks like {word}"
@@ -268,20 +261,16 @@ def implausible(data: Record) -> list[str]:
                 ("recorded", to_canonical(real, other) - sim),
                 ("simulated", real - to_canonical(sim, other)),
             )
-            if _middle(np.abs(gap)) <= most[k]
+            if np.nanmedian(np.abs(gap)) <= most[k]
         ]
         if units:
             found.append(f"{units[0]}: it is {apart:+.4g} {unit(name)} off the other throughout")
-        elif name in SPOOLS and abs(apart) > _FAR * abs(_middle(sim)):
+        elif name in SPOOLS and abs(apart) > _FAR * abs(level):
             found.append(
-                f"recorded {name} is {100.0 * apart / _middle(sim):+.0f} % of its level off the "
+                f"recorded {name} is {100.0 * apart / level:+.0f} % of its level off the "
                 "simulated one throughout: another engine, or another speed for 100 %?"
             )
     return found
-
-
-def _middle(values: FloatArray) -> float:
-    return float(np.nanmedian(values))
 
 
 def facts_of(pairs: Sequence[Pair], data: Record, held: Sequence[Pair]) -> dict[str, Any]:

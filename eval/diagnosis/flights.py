@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from data_prep.events import PULL, PUSH, Event, EventsConfig, find_events
 from data_prep.log import Log
 from eval.diagnosis.pairs import RATES, Pair
+from eval.judging.outcome import plural
 from narxcal.channels import spools_of
 from narxcal.effects.base import Signals
 from narxcal.effects.running import Flights, with_load
@@ -23,7 +24,7 @@ from training.responses.response import HIGH, LOW
 Regimes = dict[str, tuple[tuple[str, ...], IntArray]]
 DIRECTIONS = ("push", "pull", "steady")
 PHASES = ("initiation", "transit", "settling", "steady")
-# What the lever does and how far the response is, in the order of the numbers in `Bins.move`.
+# What the lever does and how far the response is, in the order of the numbers of `moves_of`.
 MOVES = (
     ("steady", "steady"),
     *((direction, phase) for direction in DIRECTIONS[:2] for phase in PHASES[:3]),
@@ -53,16 +54,12 @@ def batch(pairs: Sequence[Pair], rate_hz: float = RATE_HZ, keep_hz: float = KEEP
     none = np.zeros(len(outputs))
     signals = Signals(inputs, outputs, pairs[0].dt_s * size, pairs[0].driver, none, none)
     signals = _in_ranges(signals, np.concatenate(u), np.concatenate(y))
-    longest = max(len(each) for each in u)
-    flights = Flights(
-        signals,
-        np.stack([_padded(each, longest) for each in u]),
-        np.stack([_padded(each, longest) for each in y]),
-        np.array([len(each) for each in u]),
-    )
-    measured = np.stack([_padded(each, longest, np.nan) for each in real])
+    flights = Flights(signals, filled_up(u), filled_up(y), np.array([len(each) for each in u]))
+    inside = np.arange(flights.u.shape[1]) < flights.lengths[:, None]
+    measured = np.where(inside[..., None], filled_up(real), np.nan)
     gaps = [r - s for r, s in zip(real, y, strict=True)]
-    noise = np.maximum(_noise(gaps), _SILENT * (signals.high - signals.low))
+    noise = np.median([[_fast_part(one) for one in gap.T] for gap in gaps], axis=0)
+    noise = np.maximum(noise, _SILENT * (signals.high - signals.low))
     fast = _fast_energy(pairs, outputs, gaps)
     names = tuple(pair.name for pair in pairs)
     return Record(flights, measured, noise, _units(flights), _groups(flights), fast, names)
@@ -76,10 +73,10 @@ def _blocks(channels: Mapping[str, FloatArray], names: Sequence[str], size: int)
     return block_means(np.column_stack([channels[name] for name in names]), size)
 
 
-def _padded(rows: FloatArray, length: int, filling: float | None = None) -> FloatArray:
-    last = rows[-1] if filling is None else np.full(rows.shape[1], filling)
-    rest = np.repeat(last[None], length - len(rows), axis=0)
-    return np.concatenate([rows, rest])
+def filled_up(parts: Sequence[FloatArray]) -> FloatArray:
+    """Flights (time, n) as one array (flights, time, n), shorter ones with their last row on."""
+    longest = max(map(len, parts))
+    return np.stack([np.pad(one, ((0, longest - len(one)), (0, 0)), "edge") for one in parts])
 
 
 def _in_ranges(signals: Signals, u: FloatArray, y: FloatArray) -> Signals:
@@ -104,26 +101,16 @@ def _fast_energy(
     return np.asarray(np.maximum(lost, 0.0))
 
 
-def _noise(gaps: Sequence[FloatArray]) -> FloatArray:
-    return np.array(
-        [float(np.median([_fast_part(gap[:, k]) for gap in gaps])) for k in range(gaps[0].shape[1])]
-    )
-
-
 def _fast_part(gap: FloatArray) -> float:
     """Noise of one gap: robust, and not fooled by a coarse resolution.
 
     Readings that mostly repeat give a median of none; the smaller nine tenths of the second
     differences then tell.
     """
-    found = noise_level(gap)
-    if found > 0.0:
+    found, bends = noise_level(gap), np.abs(np.diff(gap, 2))
+    if found > 0.0 or not np.isfinite(bends).any():
         return found
-    bends = np.abs(np.diff(gap, 2))
-    bends = bends[np.isfinite(bends)]
-    if not len(bends):
-        return 0.0
-    small = bends[bends <= np.percentile(bends, _TRIMMED)]
+    small = bends[bends <= np.nanpercentile(bends, _TRIMMED)]
     return float(np.sqrt(np.mean(small**2) / 6.0))
 
 
@@ -155,42 +142,25 @@ def _log(data: Record, f: int) -> Log:
 def check_excitation(data: Record, events: Sequence[Sequence[Event]]) -> None:
     """Raise `DataError`, saying what is missing, for fewer than three pushes or three pulls."""
     labels = [event.label for flight in events for event in flight]
-    found = {"pushes": labels.count(PUSH), "pulls": labels.count(PULL)}
+    found = {("push", "pushes"): labels.count(PUSH), ("pull", "pulls"): labels.count(PULL)}
     if min(found.values()) >= FEWEST:
         return
     missing = " and ".join(
-        f"{FEWEST - count} more {kind}" for kind, count in found.items() if count < FEWEST
+        f"{FEWEST - count} more {many}" for (_, many), count in found.items() if count < FEWEST
     )
-    counted = " and ".join(_counted(count, kind) for kind, count in found.items())
+    counted = " and ".join(f"{n} {one if n == 1 else many}" for (one, many), n in found.items())
     raise DataError(
         f"too little excitation: {counted} of {data.flights.signals.driver} in "
-        f"{_counted(len(data.names), 'flights')}, {FEWEST} of each are needed",
+        f"{plural(len(data.names), 'flight')}, {FEWEST} of each are needed",
         hint=f"Fly at least {missing}, idle to high power and back",
     )
-
-
-def _counted(count: int, plural: str) -> str:
-    one = plural.removesuffix("es") if plural.endswith("shes") else plural.removesuffix("s")
-    return f"{count} {one if count == 1 else plural}"
 
 
 _BLOCK_S, _MOST = 300.0, 6  # of a flight, where fewer than three stand for themselves
 
 
-@dataclass(frozen=True, eq=False)
-class Bins:
-    """`move` (flights, time) is a row of `MOVES`; -1 beyond a flight's end.
-
-    `regimes` maps altitude, Mach, power and bleed, as far as the inputs tell, to the names of
-    their levels and which one each sample is in, (flights, time).
-    """
-
-    move: IntArray
-    regimes: Regimes
-
-
-def sort_samples(data: Record, events: Sequence[Sequence[Event]]) -> Bins:
-    """Find direction, phase and regime of every sample."""
+def moves_of(data: Record, events: Sequence[Sequence[Event]]) -> IntArray:
+    """Row of `MOVES` (flights, time) that each sample is in; -1 beyond a flight's end."""
     flights = data.flights
     move = np.full(flights.u.shape[:2], -1)
     for f, found in enumerate(events):
@@ -198,7 +168,7 @@ def sort_samples(data: Record, events: Sequence[Sequence[Event]]) -> Bins:
         move[f, :n] = 0
         for event in found:
             move[f, event.start + 1 : event.stop] = _phases(flights.y[f, :, 0], event, data.span[0])
-    return Bins(move, _regimes(data))
+    return move
 
 
 def _phases(y: FloatArray, event: Event, span: float) -> IntArray:
@@ -217,7 +187,11 @@ def _phases(y: FloatArray, event: Event, span: float) -> IntArray:
     return phases
 
 
-def _regimes(data: Record) -> Regimes:
+def regimes_of(data: Record) -> Regimes:
+    """Altitude, Mach, power and bleed, as far as the inputs tell.
+
+    Each has the names of its levels, and which one each sample is in, (flights, time).
+    """
     flights, signals = data.flights, data.flights.signals
     values = {"power": signals.power(flights.y)}
     for name, channel in (("altitude", "ALT_ft"), ("Mach", "Mach")):
@@ -272,7 +246,7 @@ def _groups(flights: Flights) -> tuple[int, ...]:
 
 def phases_of(data: Record) -> Phases:
     names = tuple("steady" if d == "steady" else f"{d}_{p}" for d, p in MOVES)
-    return Phases(names, sort_samples(data, events_of(data)).move)
+    return Phases(names, moves_of(data, events_of(data)))
 
 
 _HINT = "Record and simulate them with the channels and at the rate of the others"
@@ -312,18 +286,9 @@ def together(first: Flights, others: Flights) -> Flights:
     What was recorded is no part of it: what a simulator says of a flight is known before anybody
     has flown it.
     """
-    longest = max(first.u.shape[1], others.u.shape[1])
-    u, y = (
-        np.concatenate([_lengthened(part, longest) for part in parts])
-        for parts in ((first.u, others.u), (first.y, others.y))
-    )
+    u, y = filled_up([*first.u, *others.u]), filled_up([*first.y, *others.y])
     signals = _in_ranges(first.signals, *(each.reshape(-1, each.shape[2]) for each in (u, y)))
     return Flights(signals, u, y, np.concatenate([first.lengths, others.lengths]))
-
-
-def _lengthened(rows: FloatArray, longest: int) -> FloatArray:
-    rest = np.repeat(rows[:, -1:], longest - rows.shape[1], axis=1)
-    return np.concatenate([rows, rest], axis=1)
 
 
 def _input(data: Record, other: Record, name: str) -> FloatArray:

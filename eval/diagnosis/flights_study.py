@@ -15,9 +15,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from data_prep.log import Log
 from eval.diagnosis.diagnose import diagnose_pairs
-from eval.diagnosis.pairs import Pair, pair_logs, simulated_log
+from eval.diagnosis.pairs import pair_logs, simulated_log
 from eval.diagnosis.simulators import simulate_by
 from eval.diagnosis.words import percent, sentences
 from narxcal.channels import symbol
@@ -46,7 +45,11 @@ def study(config: RunConfig, base: Path) -> Iterator[str]:
     logs = prepare_logs(config, configured_files(config, base))
     for plan in leave_one_flight_out(logs, config.events):
         train, test = ([part.log for part in parts] for parts in (plan.train, plan.test))
-        pairs = simulated_pairs(config, base, train, test)
+        simulate = simulate_by(calibrate(config, base, Split(tuple(train), (), ())).calibration)
+        pairs = [
+            pair_logs(log.source.engine or log.name, log, simulated_log(log, simulate))
+            for log in test
+        ]
         yield f"{test[0].source.file}, by a model of {train[0].source.file}"
         yield from written(diagnose_pairs(pairs).document)
         for one in pairs:
@@ -55,15 +58,6 @@ def study(config: RunConfig, base: Path) -> Iterator[str]:
             expected = ", ".join(percent(shrink["predicted"][k]) for k in ("value", "low", "high"))
             yield f"  {one.name} alone: {', '.join(found['verdict']['effects']) or 'nothing'}"
             yield f"    off the other: expected {expected}; taken {percent(shrink['realised'])}"
-
-
-def simulated_pairs(
-    config: RunConfig, base: Path, train: Sequence[Log], test: Sequence[Log]
-) -> list[Pair]:
-    simulate = simulate_by(calibrate(config, base, Split(tuple(train), (), ())).calibration)
-    return [
-        pair_logs(log.source.engine or log.name, log, simulated_log(log, simulate)) for log in test
-    ]
 
 
 def written(document: Mapping[str, Any]) -> Iterator[str]:

@@ -84,11 +84,8 @@ def _half(prepared: dict[str, Log], recorded: dict[str, Log], number: int) -> Pl
 
 def _pairs(bundle: Bundle, plan: Plan) -> list[Pair]:
     simulate = simulate_by(bundle.calibration)
-    found = []
-    for part in plan.test:
-        log = part.log
-        found.append(pair_logs(log.name, log, simulated_log(log, simulate)))
-    return found
+    logs = [part.log for part in plan.test]
+    return [pair_logs(log.name, log, simulated_log(log, simulate)) for log in logs]
 
 
 def learn_left_out(run: Path, *, trust: bool = False) -> Discrepancy:

@@ -5,8 +5,10 @@ All but the curves of recorded and simulated outputs is made from `gap.json`.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, Final, NamedTuple
 
 from eval.diagnosis import pictures
@@ -122,17 +124,14 @@ def _bin(row: Row | None) -> Cell:
 
 def regime_table(document: Row) -> Table:
     """Channel against the levels of altitude, Mach, power and bleed."""
-    shares: dict[str, dict[str, float]] = {}
+    shares: dict[str, dict[str, float]] = defaultdict(partial(defaultdict, float))
     for row in document["where"]:
         for regime, levels in row["regime_shares"].items():
             for level, part in levels.items():
-                cells = shares.setdefault(f"{regime} {level}", {})
-                cells[row["channel"]] = cells.get(row["channel"], 0.0) + part * row["share"]
-    channels = _channels(document) if shares else []
-    parts = {name: [each.get(name, 0.0) for each in shares.values()] for name in channels}
+                shares[f"{regime} {level}"][row["channel"]] += part * row["share"]
     rows = [
-        line(symbol(name), *(Cell(percent(part), number=True, level=part) for part in own))
-        for name, own in parts.items()
+        line(symbol(n), *(Cell(percent(p[n]), number=True, level=p[n]) for p in shares.values()))
+        for n in (_channels(document) if shares else ())
     ]
     caption = (
         "The same energy by regime; the levels of each add up to the whole. Altitude low is below "
@@ -180,9 +179,7 @@ def budget_page(document: Row, evidence: Evidence, created: str = "") -> Page:
             failed.append(f"{what} could not be drawn ({type(error).__name__}: {error})")
             return None
 
-    own, held = pictures.views(evidence)
-    named = document["verdict"]["effects"]
-    shown = own if held is None else held
+    named, shown = document["verdict"]["effects"], pictures.view_of(evidence)
     parts = {
         "budget": drawn("the budget", pictures.budget_picture, document),
         "where": [phase_table(document), regime_table(document)],
@@ -233,23 +230,23 @@ def header(document: Mapping[str, Any], created: str) -> RunHeader:
     """What the page says about where it comes from."""
     quality = document["quality"]
     facts = {
-        "Flights": ", ".join(quality.get("flights", ())),
-        "Held out": ", ".join(quality.get("held_out", ())),
-        "Rate": _rate(quality),
-        "Driver": quality.get("driver", ""),
+        "Flights": ", ".join(quality["flights"]),
+        "Held out": ", ".join(quality["held_out"]),
+        "Rate": f"{quality['rate_hz']:.4g} Hz, processed at {quality['worked_at_hz']:.4g} Hz",
+        "Driver": quality["driver"],
         "Computed in": f"{quality['wall_s']:.0f} s" if "wall_s" in quality else "",
     }
     return RunHeader(
         title="Diagnosis of the gap between simulator and engine",
         created=created,
         model=_compared(quality),
-        versions=quality.get("versions", {}),
+        versions=quality["versions"],
         facts={name: text for name, text in facts.items() if text},
     )
 
 
 def _compared(quality: Mapping[str, Any]) -> str:
-    kind, count = quality.get("simulator", "logs"), len(quality.get("flights", ()))
+    kind, count = quality.get("simulator", "logs"), len(quality["flights"])
     flights = "one flight" if count == 1 else f"{count} flights"
     return f"{_SIMULATORS.get(kind, kind)}, compared with {flights}"
 
@@ -260,9 +257,3 @@ _SIMULATORS = {
     "virtual engine": "the virtual engine",
     "function": "a function of Python",
 }
-
-
-def _rate(quality: Mapping[str, Any]) -> str:
-    if "rate_hz" not in quality:
-        return ""
-    return f"{quality['rate_hz']:.4g} Hz, processed at {quality.get('worked_at_hz', 0.0):.4g} Hz"

@@ -11,8 +11,11 @@ any time constant T gathers in a time t, (1 - exp(-t / T)) exp(-t / T) <= 1/4 is
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections import Counter
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 from pathlib import Path
 from types import MappingProxyType
 
@@ -26,7 +29,7 @@ from data_prep.prepare import hold_inputs
 from data_prep.reading import read_logs
 from data_prep.sources.log_file import open_table
 from eval.diagnosis.simulators import Simulate
-from narxcal.channels import CHANNELS, described
+from narxcal.channels import CHANNELS, SPOOLS, described
 from narxcal.support.arrays import FloatArray, bridge_gaps, long_runs, spans
 from narxcal.support.errors import DataError
 from training.config import RunConfig
@@ -62,7 +65,7 @@ class Pair:
         return "TRA_deg" if "TRA_deg" in self.inputs else "FF_kgph"
 
 
-SUFFIXES = (".csv.gz", ".csv")
+_FILE = re.compile(r"([^.].*)\.csv(\.gz)?", re.IGNORECASE | re.DOTALL)
 _NO_SPLIT_S = 1e7  # a gap is masked, not the end of a log
 
 
@@ -83,7 +86,7 @@ def read_folder(folder: Path, config: RunConfig | None = None) -> dict[str, Log]
 
 
 def log_name(file: Path, engine: str) -> str:
-    return _stem(file) + (f"_{engine}" if engine else "")
+    return _FILE.sub(r"\1", file.name) + (f"_{engine}" if engine else "")
 
 
 def files_in(folder: Path) -> list[Path]:
@@ -91,7 +94,7 @@ def files_in(folder: Path) -> list[Path]:
     if not folder.is_dir():
         what = "is a file" if folder.exists() else "does not exist"
         raise DataError(f"the folder of the logs {what}", file=folder)
-    files = sorted(file for file in folder.iterdir() if _is_log(file))
+    files = sorted(file for file in folder.iterdir() if _FILE.fullmatch(file.name))
     if not files:
         raise DataError("the folder holds no .csv or .csv.gz", file=folder)
     return files
@@ -125,15 +128,6 @@ def _reading(file: Path, config: RunConfig | None) -> LogsConfig:
     return logs.model_copy(update={"max_gap_s": _NO_SPLIT_S, "raster_hz": logs.raster_hz})
 
 
-def _is_log(file: Path) -> bool:
-    return file.name.lower().endswith(SUFFIXES) and not file.name.startswith(".")
-
-
-def _stem(file: Path) -> str:
-    name = file.name
-    return next(name[: -len(end)] for end in SUFFIXES if name.lower().endswith(end))
-
-
 # Samples of an input may differ by this part of the channel's range, and few of them by more.
 _ROUNDING, _FEW = 2e-3, 1e-3
 _ROLES = ("lever", "ambient", "switch")
@@ -146,26 +140,19 @@ def inputs_of(name: str, real: Log, sim: Log, counts: dict[str, int]) -> dict[st
     nothing to drive the engine, and where recorded and simulated inputs differ.
     """
     has = {**real.channels, **sim.channels}
-    driver = "TRA_deg" if "TRA_deg" in has else "FF_kgph"
-    if driver not in has:
+    wanted = [each for each in CHANNELS if each in has and is_input(each, has)]
+    if not {"TRA_deg", "FF_kgph"} & set(wanted):
         raise DataError(
             "there is no TRA_deg, and no FF_kgph to take for the driver",
             file=name,
             hint="Map the throttle's column, or the fuel flow's",
         )
-    wanted = [
-        each
-        for each in CHANNELS
-        if each in has and (CHANNELS[each].role in _ROLES or each == driver)
-    ]
     found = {}
     for each in wanted:
         if each in real.channels and each in sim.channels:
             _check_same(name, real, sim, each)
         source = sim if each in sim.channels else real
-        missing = int(np.count_nonzero(~np.isfinite(source[each])))
-        if missing:
-            counts[f"{each} held"] = missing
+        counts[f"{each} held"] = int(np.count_nonzero(~np.isfinite(source[each])))
         found[each] = hold_inputs(source, [each])[each]
     return found
 
@@ -192,47 +179,44 @@ def _check_same(name: str, real: Log, sim: Log, channel: str) -> None:
     )
 
 
-def is_input(name: str, log: Log) -> bool:
-    """Whether a simulator takes the channel; fuel flow only where there is no lever."""
+def is_input(name: str, channels: Container[str]) -> bool:
+    """Whether a simulator takes it of these channels; fuel flow only where there is no lever."""
     if name == "FF_kgph":
-        return "TRA_deg" not in log.channels
+        return "TRA_deg" not in channels
     return described(name).role in _ROLES
 
 
-SPEEDS = ("N1_pct", "N2_pct")
-DIAGNOSED = (*SPEEDS, "EGT_C", "FF_kgph")
+DIAGNOSED = (*SPOOLS, "EGT_C", "FF_kgph")
 _MOST_MISSING = 0.2
 
 
-def outputs_of(name: str, real: Log, sim: Log, inputs: Mapping[str, FloatArray]) -> tuple[str, ...]:
-    """Outputs that are compared: those on both sides.
+def outputs_of(
+    name: str, real: Log, sim: Log, inputs: Mapping[str, FloatArray]
+) -> tuple[list[str], dict[str, str]]:
+    """Outputs that are compared, those on both sides; and of others on which one they are.
 
-    Raises `DataError` where no spool speed is among them.
+    Raises `DataError` where no spool speed is on both.
     """
     candidates = [each for each in DIAGNOSED if each not in inputs]
-    both = tuple(e for e in candidates if e in real.channels and e in sim.channels)
-    if not any(each in both for each in SPEEDS):
+    both = [each for each in candidates if each in real.channels and each in sim.channels]
+    if not any(each in both for each in SPOOLS):
         raise DataError(
-            f"recorded and simulated log share neither {' nor '.join(SPEEDS)}",
+            f"recorded and simulated log share neither {' nor '.join(SPOOLS)}",
             file=name,
             hint=f"A spool speed has to be on both sides; recorded are {_named(real, candidates)}, "
             f"simulated are {_named(sim, candidates)}",
         )
-    return both
+    one, other = "recorded but not simulated", "simulated but not recorded"
+    lone = {
+        each: one if each in real.channels else other
+        for each in candidates
+        if (each in real.channels) != (each in sim.channels)
+    }
+    return both, lone
 
 
 def _named(log: Log, outputs: Sequence[str]) -> str:
     return ", ".join(each for each in outputs if each in log.channels) or "none of the outputs"
-
-
-def lone(real: Log, sim: Log, outputs: Sequence[str]) -> dict[str, str]:
-    """Outputs that only one side has: channel -> which."""
-    one, other = "recorded but not simulated", "simulated but not recorded"
-    return {
-        each: one if each in real.channels else other
-        for each in outputs
-        if (each in real.channels) != (each in sim.channels)
-    }
 
 
 def complete(name: str, sim: Log, channel: str, counts: dict[str, int]) -> FloatArray:
@@ -249,8 +233,7 @@ def complete(name: str, sim: Log, channel: str, counts: dict[str, int]) -> Float
             channel=channel,
             hint="Simulate the whole flight, or leave the log or the channel out",
         )
-    if missing:
-        counts[f"{channel} simulated missing"] = missing
+    counts[f"{channel} simulated missing"] = missing
     _check_varies(name, values, channel, "simulated")
     return bridge_gaps(values)
 
@@ -269,8 +252,7 @@ def check_recorded(name: str, real: Log, channel: str, counts: dict[str, int]) -
             channel=channel,
             hint="Leave the channel out of all logs, or this log out",
         )
-    if missing:
-        counts[f"{channel} unknown"] = missing
+    counts[f"{channel} unknown"] = missing
     _check_varies(name, values, channel, "recorded")
 
 
@@ -324,7 +306,7 @@ def with_known_inputs(log: Log, faults: Sequence[Finding], longest_s: float) -> 
 
     An input that `faults` mask is unknown there, as one of which the log has no sample.
     """
-    inputs = {name: log[name] for name in log.channels if is_input(name, log)}
+    inputs = {n: values for n, values in log.channels.items() if is_input(n, log.channels)}
     for each in faults:
         if each.masks and each.channel in inputs:
             known = ~each.rows(log.time_s)
@@ -373,7 +355,7 @@ def pair_logs(name: str, real: Log, sim: Log) -> Pair:
     counts = _counts(real, sim, samples)
     real, sim = real.part(0, samples), sim.part(0, samples)
     inputs = inputs_of(name, real, sim, counts)
-    outputs = outputs_of(name, real, sim, inputs)
+    outputs, lone = outputs_of(name, real, sim, inputs)
     measured, modelled = {}, {}
     for output in outputs:
         modelled[output] = complete(name, sim, output, counts)
@@ -381,27 +363,27 @@ def pair_logs(name: str, real: Log, sim: Log) -> Pair:
         check_recorded(name, real, output, counts)
     both = [each for each in COMPARED if each in real.channels and each in sim.channels]
     others = {each: np.column_stack([real[each], sim[each]]) for each in both}
-    alone = lone(real, sim, [each for each in DIAGNOSED if each not in inputs])
-    return Pair(name, real.time_s, inputs, measured, modelled, others, counts, alone)
+    counted = {reason: count for reason, count in counts.items() if count}
+    return Pair(name, real.time_s, inputs, measured, modelled, others, counted, lone)
 
 
 def check_apart(pairs: Sequence[Pair], held: Sequence[Pair]) -> None:
     """Raise `DataError` for a held-out flight that is one of the diagnosis under any name."""
-    for other in held:
-        for pair in pairs:
-            if _same_record(pair, other):
-                raise DataError(
-                    f"the held-out flight is '{pair.name}' of the diagnosis: nothing could be "
-                    "checked on it",
-                    file=other.name,
-                    hint="Hold flights out that are not among those of --real",
-                )
+    for other, pair in product(held, pairs):
+        if _same_record(pair, other):
+            raise DataError(
+                f"the held-out flight is '{pair.name}' of the diagnosis: nothing could be checked "
+                "on it",
+                file=other.name,
+                hint="Hold flights out that are not among those of --real",
+            )
 
 
 def _same_record(one: Pair, other: Pair) -> bool:
-    if len(one.time_s) != len(other.time_s) or set(one.real) != set(other.real):
-        return False
-    return all(np.array_equal(v, other.real[k], equal_nan=True) for k, v in one.real.items())
+    return one.real.keys() == other.real.keys() and all(
+        np.array_equal(values, other.real[name], equal_nan=True)
+        for name, values in one.real.items()
+    )
 
 
 def _plausible(log: Log) -> Log:
@@ -417,7 +399,7 @@ def _plausible(log: Log) -> Log:
 
 def simulated_log(log: Log, simulate: Simulate) -> Log:
     """The log's inputs, complete, with the outputs that the simulator gives for them."""
-    inputs = [name for name in log.channels if is_input(name, log)]
+    inputs = [name for name in log.channels if is_input(name, log.channels)]
     held = hold_inputs(log, inputs)
     outputs = {name: values for name, values in simulate(held).items() if name in CHANNELS}
     return replace(held, channels={name: held[name] for name in inputs} | outputs)
@@ -443,14 +425,13 @@ def _common_length(name: str, real: Log, sim: Log) -> int:
 
 
 def _counts(real: Log, sim: Log, samples: int) -> dict[str, int]:
-    counts = {"cut at the end": max(len(real), len(sim)) - samples}
+    counts = Counter({"cut at the end": max(len(real), len(sim)) - samples})
     if abs(real.time_s[0] - sim.time_s[0]) > 0.5 * real.dt_s:
         counts["paired by row, for the clocks start apart"] = samples
     for entry in real.audit.entries:
         if entry.action != "repaired" or entry.channel != "*":
-            key = f"{entry.channel} {entry.action}: {entry.reason}"
-            counts[key] = counts.get(key, 0) + entry.samples
-    return {reason: count for reason, count in counts.items() if count}
+            counts[f"{entry.channel} {entry.action}: {entry.reason}"] += entry.samples
+    return counts
 
 
 def alike(pairs: Sequence[Pair]) -> list[Pair]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -57,17 +58,14 @@ def _bars(rows: Sequence[Row]) -> dict[str, list[float]]:
 
 def draw_budget(axes: Axes, rows: Sequence[Row]) -> None:
     """Draw the bars of the rows of `budget`."""
-    effects = [row["cause"] for row in rows if row["cause"] not in _OTHERS]
-    colours = dict(zip(effects, style.CYCLE * (1 + len(effects) // len(style.CYCLE)), strict=False))
-    bars = _bars(rows)
+    cycle, bars = itertools.cycle(style.CYCLE), _bars(rows)
+    colours = [_OTHERS.get(row["cause"]) or next(cycle) for row in rows]
     for place, (label, shares) in enumerate(bars.items()):
-        _bar(axes, place, shares, [{**_OTHERS, **colours}[row["cause"]] for row in rows])
+        _bar(axes, place, shares, colours)
         axes.text(-0.01, place, label, ha="right", va="center", fontsize=8)
-    for row in rows:
-        colour = {**_OTHERS, **colours}[row["cause"]]
-        axes.barh(
-            -1, 0.0, color=colour, edgecolor="#8c959f", lw=0.4, label=cause_words(row["cause"])
-        )
+    for row, colour in zip(rows, colours, strict=True):
+        words = cause_words(row["cause"])
+        axes.barh(-1, 0.0, color=colour, edgecolor="#8c959f", lw=0.4, label=words)
     axes.set(ylim=(len(bars) - 0.4, -0.6), xlim=(0.0, 1.0), yticks=())
     axes.set_xlabel("share of the energy of the whole gap")
     style.dress(axes, grid="x")
@@ -89,7 +87,6 @@ def _bar(axes: Axes, place: int, shares: Sequence[float], colours: Sequence[str]
 
 
 _LEAD_S, _TAIL_S, _LEAST_S = 4.0, 6.0, 20.0
-REPAIRED = style.GOOD
 _WIDTH = 10.0
 _OWN, _HELD = "of the diagnosis", "that took no part"
 
@@ -107,14 +104,12 @@ class View(NamedTuple):
     whose: str
 
 
-def views(evidence: Evidence) -> tuple[View, View | None]:
-    """The flights of the diagnosis, and those that took no part where there are any."""
-    changed = bool(evidence.budget.verdict.effects)
-    own = View(evidence.data, evidence.after, evidence.where.events, changed, _OWN)
-    held = evidence.held_out
+def view_of(evidence: Evidence) -> View:
+    """The flights that took no part where there are any, else those of the diagnosis."""
+    changed, held = bool(evidence.budget.verdict.effects), evidence.held_out
     if held is None:
-        return own, None
-    return own, View(held.data, held.after, events_of(held.data), changed, _HELD)
+        return View(evidence.data, evidence.after, evidence.where.events, changed, _OWN)
+    return View(held.data, held.after, events_of(held.data), changed, _HELD)
 
 
 def largest_event(view: View, of: FloatArray) -> tuple[int, Event] | None:
@@ -122,11 +117,6 @@ def largest_event(view: View, of: FloatArray) -> tuple[int, Event] | None:
     energy, every = _energy(view, of), [(f, e) for f, es in enumerate(view.events) for e in es]
     sizes = [float(energy[f, event.start : event.stop].sum()) for f, event in every]
     return every[int(np.argmax(sizes))] if max(sizes, default=0.0) > 0.0 else None
-
-
-def worst_flight(view: View) -> int:
-    energy, lengths = _energy(view, view.data.difference), view.data.flights.lengths
-    return int(np.argmax([each[:n].sum() / n for each, n in zip(energy, lengths, strict=True)]))
 
 
 def _energy(view: View, of: FloatArray) -> FloatArray:
@@ -175,48 +165,46 @@ def _event(view: View, f: int, event: Event) -> tuple[Figure, str]:
     last = max(event.stop + round(_TAIL_S / dt_s), first + round(_LEAST_S / dt_s))
     direction = "push" if event.label == PUSH else "pull"
     what = f"the {direction} at {moment(event.start * dt_s, 0.0)} of {view.data.names[f]}"
-    return _stacked(view, f, slice(first, min(last, end))), what
+    parts = ((_curves, 1.35), (_gap_strip, 0.6))
+    return _stacked(view, f, slice(first, min(last, end)), parts), what
 
 
 def flight_picture(view: View) -> Picture:
     """Every channel's gap over the whole of the worst flight, before and after."""
-    f = worst_flight(view)
-    n, signals = int(view.data.flights.lengths[f]), view.data.flights.signals
-    time_s = np.arange(n, dtype=np.float64) * signals.dt_s
-    figure, rows = style.stack(_WIDTH, [0.6, *[0.95] * len(signals.outputs)])
-    style.curve(rows[0], time_s, _driver(view, f)[:n], style.DRIVER, lw=0.9)
-    rows[0].set_ylabel(style.with_unit(signals.driver))
-    for k, name in enumerate(signals.outputs):
-        _gap_strip(rows[1 + k], view, (f, k, slice(0, n)), name)
-    style.legend(rows[1])
-    for axes in rows:
-        style.dress(axes)
-        axes.margins(x=0.0)
-    style.clock(rows[-1], time_s, " of the flight")
+    energy, lengths = _energy(view, view.data.difference), view.data.flights.lengths.tolist()
+    means = [each[:n].sum() / n for each, n in zip(energy, lengths, strict=True)]
+    f = int(np.argmax(means))
     flight = view.data.names[f]
     return picture(
-        figure,
+        _stacked(view, f, slice(0, lengths[f]), ((_gap_strip, 0.95),), 0.9),
         f"Gap of every channel over {flight}, of flights {view.whose}{_versus(view)}",
         f"{flight}: recorded less simulated over the whole flight{_versus(view)}. "
         "Offsets that differ from flight to flight are left in.",
     )
 
 
-def _stacked(view: View, f: int, rows: slice) -> Figure:
+_Place = tuple[int, int, slice]  # flight, output, and samples
+_Draw = Callable[[Axes, View, _Place, str], None]
+
+
+def _stacked(
+    view: View, f: int, rows: slice, parts: Sequence[tuple[_Draw, float]], lw: float = 1.0
+) -> Figure:
+    """Draw the driver, `lw` wide, and below it each channel by `parts`, so many inches high."""
     signals = view.data.flights.signals
     time_s = np.arange(rows.start, rows.stop, dtype=np.float64) * signals.dt_s
-    heights = [0.6] + [part for _ in signals.outputs for part in (1.35, 0.6)]
-    figure, axes = style.stack(_WIDTH, heights)
-    axes[0].plot(time_s, _driver(view, f)[rows], color=style.DRIVER, lw=1.0)
-    axes[0].set_ylabel(style.with_unit(signals.driver))
-    for k, name in enumerate(signals.outputs):
-        _curves(axes[1 + 2 * k], view, (f, k, rows), name)
-        _gap_strip(axes[2 + 2 * k], view, (f, k, rows), name)
-    style.legend(axes[1])
-    for each in axes:
-        style.dress(each)
-        each.margins(x=0.0)
-    style.clock(axes[-1], np.zeros(1), " of the flight")
+    heights = [height for _, height in parts]
+    figure, (driver, *strips) = style.stack(_WIDTH, [0.6, *heights * len(signals.outputs)])
+    lever = view.data.flights.u[f, rows, signals.u(signals.driver)]
+    style.curve(driver, time_s, lever, style.DRIVER, lw=lw)
+    driver.set_ylabel(style.with_unit(signals.driver))
+    contents = [(k, name, draw) for k, name in enumerate(signals.outputs) for draw, _ in parts]
+    for axes, (k, name, draw) in zip(strips, contents, strict=True):
+        draw(axes, view, (f, k, rows), name)
+    style.legend(strips[0])
+    for axes in (driver, *strips):
+        style.over_time(axes)
+    style.clock(strips[-1], np.zeros(1), " of the flight")
     return figure
 
 
@@ -224,12 +212,7 @@ def _versus(view: View) -> str:
     return ", before (orange) and after the effect is added (green)" if view.changed else ""
 
 
-def _driver(view: View, f: int) -> FloatArray:
-    flights = view.data.flights
-    return np.asarray(flights.u[f, :, flights.signals.u(flights.signals.driver)])
-
-
-def _curves(axes: Axes, view: View, place: tuple[int, int, slice], name: str) -> None:
+def _curves(axes: Axes, view: View, place: _Place, name: str) -> None:
     f, k, rows = place
     time_s = np.arange(rows.start, rows.stop, dtype=np.float64) * view.data.flights.signals.dt_s
     real = view.data.real[f, rows, k]
@@ -237,13 +220,13 @@ def _curves(axes: Axes, view: View, place: tuple[int, int, slice], name: str) ->
     style.curve(axes, time_s, view.data.flights.y[f, rows, k], style.STEADY, lw=1.6, ls="--",
                 label="simulated")  # fmt: skip
     if view.changed:
-        style.curve(axes, time_s, view.after[f, rows, k], REPAIRED, lw=2.2, alpha=0.8,
+        style.curve(axes, time_s, view.after[f, rows, k], style.GOOD, lw=2.2, alpha=0.8,
                     label="simulated + effect")  # fmt: skip
     style.curve(axes, time_s, real, style.MEASURED, lw=0.8, label="recorded")
     axes.set_ylabel(style.with_unit(name))
 
 
-def _gap_strip(axes: Axes, view: View, place: tuple[int, int, slice], name: str) -> None:
+def _gap_strip(axes: Axes, view: View, place: _Place, name: str) -> None:
     f, k, rows = place
     time_s = np.arange(rows.start, rows.stop, dtype=np.float64) * view.data.flights.signals.dt_s
     real = view.data.real[f, rows, k]
@@ -255,7 +238,7 @@ def _gap_strip(axes: Axes, view: View, place: tuple[int, int, slice], name: str)
     )
     if view.changed:
         style.curve(
-            axes, time_s, real - view.after[f, rows, k], REPAIRED, lw=0.8, label="gap after"
+            axes, time_s, real - view.after[f, rows, k], style.GOOD, lw=0.8, label="gap after"
         )
     axes.set_ylabel(f"Δ{style.with_unit(name)}")
     style.ticks(axes)

@@ -28,9 +28,10 @@ from scipy.special import ndtr
 
 from eval.cards.card import Card, Flown, Step, Wanted, admitted, check_channels, planned
 from eval.diagnosis.applied import EMULATOR, gap_document, read_emulator, signals_from_json
+from eval.diagnosis.flights import filled_up
 from narxcal.effects.base import Effect, Signals
 from narxcal.effects.library import effect, name_of
-from narxcal.effects.running import Flights, response
+from narxcal.effects.running import Flights, respond
 from narxcal.effects.steady import UNLOGGED, UNLOGGED_SWITCH
 from narxcal.flight_test.moves import moves
 from narxcal.support.arrays import FloatArray
@@ -140,11 +141,9 @@ def _hypotheses(document: Mapping[str, Any]) -> list[Hypothesis]:
 
     A load of unknown windows is no hypothesis: nobody knows whether it will be on.
     """
-    verdict, rows = document["verdict"], {}
+    verdict, effects = document["verdict"], document["effects"]
+    rows = {name_of(row): row for row in effects if row["id"] != UNLOGGED_SWITCH.id}
     none = Hypothesis(None, np.zeros(0), np.zeros(0), float(verdict.get("none", 0.0)))
-    for row in document["effects"]:
-        if row["id"] != UNLOGGED_SWITCH.id:
-            rows[name_of(row)] = row
     names, also = [], []
     if verdict["kind"] == "ambiguous":
         names = [*verdict["effects"][:1], *verdict["ambiguous_with"]]
@@ -173,9 +172,7 @@ def _hypothesis(name: str, row: Mapping[str, Any], signals: Signals) -> Hypothes
 def simulated(open_: Undecided, inputs: Sequence[FloatArray]) -> Flights:
     """Flights of the emulator from equilibrium over inputs (time, n_in) of each."""
     lengths = np.array([len(u) for u in inputs], dtype=np.int64)
-    filled = [np.concatenate([u, np.repeat(u[-1:], lengths.max() - len(u), axis=0)])
-              for u in inputs]  # fmt: skip
-    u = np.stack(filled)
+    u = filled_up(inputs)
     begun = Flights(open_.signals, u, open_.emulator.settled.outputs(u), lengths)
     return replace(begun, y=open_.emulator.free_run(begun))
 
@@ -210,12 +207,13 @@ class Columns:
         built = [each for _, each in build_columns(flights, open_.emulator)]
         parts: list[FloatArray] = [*built, *offsets]
         shared, edges = len(parts), [len(parts)]
-        for one in open_.hypotheses:
-            parts += _slopes(one, flights, open_.emulator)
+        every = [_responses(one, flights, open_.emulator) for one in open_.hypotheses]
+        for _, slopes in every:
+            parts += [*slopes]
             edges.append(len(parts))
-        parts += [_response(one, one.theta, flights, open_.emulator) for one in open_.hypotheses]
         own = [range(*pair) for pair in pairwise(edges)]
-        return cls(np.stack(parts), shared, own, open_.hypotheses)
+        values = np.stack([*parts, *(response for response, _ in every)])
+        return cls(values, shared, own, open_.hypotheses)
 
     def grams(self, flights: Flights, variance: FloatArray) -> FloatArray:
         """Inner products (moves, k, k) by the inverse of `variance` (outputs,) of a sample."""
@@ -258,25 +256,18 @@ class Columns:
         ]
 
 
-def _response(
-    one: Hypothesis, theta: FloatArray, flights: Flights, emulator: GreyBoxEmulator
-) -> FloatArray:
-    if one.effect is None:
-        return np.zeros_like(flights.y)
-    return response(one.effect, theta, flights, emulator)
+def _responses(
+    one: Hypothesis, flights: Flights, emulator: GreyBoxEmulator
+) -> tuple[FloatArray, FloatArray]:
+    """What a hypothesis does (moves, time, outputs), and slopes of it (parameters, ...).
 
-
-def _slopes(one: Hypothesis, flights: Flights, emulator: GreyBoxEmulator) -> list[FloatArray]:
-    """Half the difference of responses a standard deviation up and down, by parameter."""
-    found: list[FloatArray] = []
+    A slope is half the difference of a standard deviation up and down of what is not certain.
+    """
     if one.effect is None:
-        return found
-    bounds = one.effect.parameters(flights.signals)
-    for k in np.flatnonzero(one.spread > 0.0):
-        ends = []
-        for sign in (1.0, -1.0):
-            theta = one.theta.copy()
-            theta[k] = np.clip(theta[k] + sign * one.spread[k], bounds[k].low, bounds[k].high)
-            ends.append(_response(one, theta, flights, emulator))
-        found.append(0.5 * (ends[0] - ends[1]))
-    return found
+        return np.zeros_like(flights.y), np.zeros((0, *flights.y.shape))
+    low, high = np.array([(p.low, p.high) for p in one.effect.parameters(flights.signals)]).T
+    steps = np.diag(one.spread)[one.spread > 0.0]
+    thetas = np.clip(np.vstack([one.theta, one.theta + steps, one.theta - steps]), low, high)
+    found = respond([(one.effect, thetas)], flights, emulator) - flights.y
+    up, down = np.split(found[1:], 2)
+    return found[0], 0.5 * (up - down)

@@ -20,7 +20,7 @@ from narxcal.effects.base import Pace
 from narxcal.effects.running import Emulator, Flights, Shift
 from narxcal.steady.fmu import import_fmpy, read_description
 from narxcal.steady.function import import_function, search_path
-from narxcal.support.arrays import FloatArray, block_means, bridge_gaps
+from narxcal.support.arrays import FloatArray, block_means, bridge_gaps, on_lines
 from narxcal.support.errors import ConfigError, ModelError, NarxcalError
 from training.pipeline import calibration_for
 
@@ -141,15 +141,12 @@ def simulate_by(calibration: Calibration) -> Simulate:
         own = calibration_for(calibration, log)
         u = log.matrix(own.input_names)
         if abs(log.dt_s / calibration.dt_s - 1.0) <= _ONE_RASTER:
-            return dict(zip(own.output_names, own.simulate(u).T, strict=True))
-        here = np.arange(len(log)) * log.dt_s
-        there = np.arange(0.0, here[-1] + 0.5 * calibration.dt_s, calibration.dt_s)
-        given = np.column_stack([np.interp(there, here, column) for column in u.T])
-        outputs = own.simulate(given).T
-        return {
-            name: np.interp(here, there, values)
-            for name, values in zip(own.output_names, outputs, strict=True)
-        }
+            y = own.simulate(u)
+        else:
+            here = np.arange(len(log)) * log.dt_s
+            there = np.arange(0.0, here[-1] + 0.5 * calibration.dt_s, calibration.dt_s)
+            y = on_lines(here, there, own.simulate(on_lines(there, here, u)))
+        return dict(zip(own.output_names, y.T, strict=True))
 
     return simulate
 
@@ -161,23 +158,17 @@ def _fmu(path: Path) -> Simulate:
         for kind in ("input", "output")
     }
     outputs = [name for name in names["output"] if name in _OUTPUTS]
-    if not outputs:
-        raise ModelError(
-            f"no output of the FMU is one of {', '.join(_OUTPUTS)}",
-            file=path,
-            hint=f"Its outputs are {', '.join(names['output']) or 'none'}: name them so",
-        )
-    if not any(name in DRIVERS for name in names["input"]):
-        raise ModelError(
-            f"no input of the FMU is one of {', '.join(DRIVERS)}",
-            file=path,
-            hint=f"Its inputs are {', '.join(names['input']) or 'none'}: name the lever so",
-        )
+    for kind, wanted, which in (("output", _OUTPUTS, "them"), ("input", DRIVERS, "the lever")):
+        if not set(wanted) & set(names[kind]):
+            raise ModelError(
+                f"no {kind} of the FMU is one of {', '.join(wanted)}",
+                file=path,
+                hint=f"Its {kind}s are {', '.join(names[kind]) or 'none'}: name {which} so",
+            )
 
     def simulate(log: Log) -> Mapping[str, FloatArray]:
         given = [name for name in names["input"] if name in CHANNELS]
-        kinds = [("time", np.float64), *((name, np.float64) for name in given)]
-        rows = np.zeros(len(log), dtype=kinds)
+        rows = np.zeros(len(log), dtype=[(name, np.float64) for name in ("time", *given)])
         rows["time"] = np.arange(len(log)) * log.dt_s
         for name in given:
             rows[name] = log[name]
@@ -257,14 +248,9 @@ class Rerun:
         dt_s = signals.dt_s / self.block
         rows = np.arange(count * self.block, dtype=np.float64)
         middles = (np.arange(count) + 0.5) * self.block - 0.5
-        channels = {
-            name: np.interp(rows, middles, u[:, j])
-            for j, name in enumerate(signals.inputs)
-            if name in CHANNELS
-        }
-        found = self.simulate(
-            Log("flight run again", np.asarray(rows * dt_s, dtype=np.float64), channels)
-        )
+        given = zip(signals.inputs, on_lines(rows, middles, u).T, strict=True)
+        channels = {name: values for name, values in given if name in CHANNELS}
+        found = self.simulate(Log("flight run again", rows * dt_s, channels))
         for name in signals.outputs:
             if name not in found or not np.isfinite(found[name]).any():
                 raise ModelError("the simulator no longer gives it", channel=name)

@@ -19,8 +19,9 @@ from scipy.signal import csd, welch
 
 from data_prep.events import Event
 from eval.diagnosis.expected import time_errors
-from eval.diagnosis.flights import MOVES, Bins, events_of, sort_samples
-from narxcal.support.arrays import FloatArray, bridge_gaps
+from eval.diagnosis.flights import MOVES, events_of, moves_of, regimes_of
+from narxcal.effects.running import Flights
+from narxcal.support.arrays import FloatArray, IntArray, bridge_gaps
 from training.diagnosis.budget import Interval
 from training.diagnosis.metric import Record
 from training.diagnosis.nuisances import steady_maps
@@ -118,14 +119,14 @@ def locate(data: Record, explained: FloatArray | None = None) -> Where:
     what is gap, and all of it counts.
     """
     events = events_of(data)
-    bins = sort_samples(data, events)
+    move = moves_of(data, events)
     gap = data.difference if explained is None else without_nuisances(data, explained)
-    energy = _Energy(data, bins, gap)
+    energy = _Energy(data, move, gap)
     shares = energy.drawn()
     outputs = data.flights.signals.outputs
     totals = shares.sum(axis=2)
     return Where(
-        rows=_rows(energy, shares, outputs, _explained(data, bins, explained)),
+        rows=_rows(energy, shares, outputs, _explained(data, move, explained)),
         channels={name: _interval(totals[:, k]) for k, name in enumerate(outputs)},
         excess=dict(zip(outputs, energy.excess_share().tolist(), strict=True)),
         theil=theil_of(data),
@@ -137,12 +138,12 @@ def locate(data: Record, explained: FloatArray | None = None) -> Where:
     )
 
 
-def _explained(data: Record, bins: Bins, change: FloatArray | None) -> FloatArray | None:
+def _explained(data: Record, move: IntArray, change: FloatArray | None) -> FloatArray | None:
     if change is None:
         return None
     energy = change**2 / data.variance
     known = np.where(np.isfinite(data.difference), energy, 0.0)
-    parts = np.stack([known[bins.move == k].sum(axis=0) for k in range(len(MOVES))], axis=1)
+    parts = np.stack([known[move == k].sum(axis=0) for k in range(len(MOVES))], axis=1)
     whole = float(parts.sum())
     return np.asarray(parts / whole) if whole > 0.0 else None
 
@@ -165,8 +166,8 @@ def without_nuisances(data: Record, explained: FloatArray) -> FloatArray:
 class _Energy:
     """Energies (units, outputs, moves) above what noise gives, and the latter's spread."""
 
-    def __init__(self, data: Record, bins: Bins, gap: FloatArray) -> None:
-        self.bins = bins
+    def __init__(self, data: Record, move: IntArray, gap: FloatArray) -> None:
+        self.move, self.levels = move, regimes_of(data)
         scale = np.sqrt(data.variance)
         self.floor = (data.noise / scale) ** 2
         self.sample = (gap / scale) ** 2  # NaN where unknown
@@ -176,8 +177,8 @@ class _Energy:
         shape = (count, len(scale), len(MOVES))
         self.total, self.samples = np.zeros(shape), np.zeros(shape)
         for k in range(len(scale)):
-            known = np.isfinite(self.sample[..., k]) & (bins.move >= 0)
-            at = (self.units[known], bins.move[known])
+            known = np.isfinite(self.sample[..., k]) & (move >= 0)
+            at = (self.units[known], move[known])
             np.add.at(self.total[:, k], at, self.sample[..., k][known])
             np.add.at(self.samples[:, k], at, 1.0)
 
@@ -204,9 +205,9 @@ class _Energy:
     def drawn_regimes(self) -> dict[str, dict[str, Interval]]:
         """Share of all energy in each level of each regime; none where nothing is above noise."""
         above = np.nansum(self.sample - self.floor, axis=-1)
-        inside = self.bins.move >= 0
+        inside = self.move >= 0
         found = {}
-        for name, (levels, index) in self.bins.regimes.items():
+        for name, (levels, index) in self.levels.items():
             parts = np.zeros((len(self.total), len(levels)))
             np.add.at(parts, (self.units[inside], index[inside]), above[inside])
             shares = _shares(self.weights @ parts)
@@ -215,10 +216,10 @@ class _Energy:
 
     def regimes(self, output: int, move: int) -> dict[str, dict[str, float]]:
         """How the energy of one bin divides over the levels of each regime."""
-        inside = (self.bins.move == move) & np.isfinite(self.sample[..., output])
+        inside = (self.move == move) & np.isfinite(self.sample[..., output])
         above = self.sample[..., output][inside] - self.floor[output]
         found = {}
-        for name, (levels, index) in self.bins.regimes.items():
+        for name, (levels, index) in self.levels.items():
             parts = np.bincount(index[inside], weights=above, minlength=len(levels))
             parts = np.maximum(parts, 0.0)
             whole = float(parts.sum())
@@ -294,61 +295,48 @@ class Band(NamedTuple):
     high: float = 1.0
 
 
-def bands_of(data: Record, gap: FloatArray | None = None) -> dict[str, tuple[Band, ...]]:
-    """Bands of every output, from Welch's spectra averaged over all flights.
-
-    `gap` (flights, time, outputs) takes the place of recorded less simulated.
-    """
-    gap = data.difference if gap is None else gap
-    spectra = _Spectra(data)
-    return {
-        name: spectra.bands(gap[..., k], float(data.noise[k]))
-        for k, name in enumerate(data.flights.signals.outputs)
-    }
+def bands_of(data: Record, gap: FloatArray) -> dict[str, tuple[Band, ...]]:
+    """Bands of every output of a gap (flights, time, outputs): Welch's spectra over all flights."""
+    names = data.flights.signals.outputs
+    return {name: _bands(data, gap[..., k], data.noise[k]) for k, name in enumerate(names)}
 
 
-class _Spectra:
-    def __init__(self, data: Record) -> None:
-        self.lengths = data.flights.lengths
-        self.weights = _drawn(len(self.lengths))
-        self.rate_hz = 1.0 / data.flights.signals.dt_s
-        signals = data.flights.signals
-        self.driver = data.flights.u[..., signals.u(signals.driver)]
-        self.segment = int(min(_SEGMENT_S * self.rate_hz, self.lengths.min()))
+def _bands(data: Record, gap: FloatArray, noise: float) -> tuple[Band, ...]:
+    """Bands of one output's gap (flights, time)."""
+    frequency, cross, own, driver = _spectra(data.flights, gap)
+    highest_hz, lengths = 0.5 / data.flights.signals.dt_s, data.flights.lengths
+    # White noise spreads its variance evenly over all frequencies up to half the rate.
+    floor = noise**2 / highest_hz
+    weights = lengths / lengths.sum()
+    excess = weights[:, None] * (own - floor)
+    edges = [edge for edge in EDGES_HZ if edge < highest_hz] + [highest_hz]
+    insides = [(frequency >= low) & (frequency < high) for low, high in pairwise(edges)]
+    energies = np.stack([excess[:, inside].sum(axis=1) for inside in insides], axis=1)
+    shares = _shares(_drawn(len(lengths)) @ energies)
+    ends = [(0.0, 1.0)] * len(insides)
+    if len(own) > 1:
+        ends = [(each.low, each.high) for each in map(_interval, shares.T)]
+    mean = [(weights[:, None] * each).sum(axis=0) for each in (cross, own, driver)]
+    return tuple(
+        Band(*edge, float(share), _coherence(*(each[inside] for each in mean)), *end)
+        for edge, share, inside, end in zip(pairwise(edges), shares[0], insides, ends, strict=True)
+    )
 
-    def bands(self, gap: FloatArray, noise: float) -> tuple[Band, ...]:
-        """Bands of one output's gap (flights, time)."""
-        frequency, cross, own, driver = self._spectra(gap)
-        # White noise spreads its variance evenly over all frequencies up to half the rate.
-        floor = noise**2 / (0.5 * self.rate_hz)
-        weights = self.lengths / self.lengths.sum()
-        excess = weights[:, None] * (own - floor)
-        edges = [edge for edge in EDGES_HZ if edge < 0.5 * self.rate_hz] + [0.5 * self.rate_hz]
-        insides = [(frequency >= low) & (frequency < high) for low, high in pairwise(edges)]
-        energies = np.stack([excess[:, inside].sum(axis=1) for inside in insides], axis=1)
-        shares = _shares(self.weights @ energies)
-        ends = [(0.0, 1.0)] * len(insides)
-        if len(own) > 1:
-            ends = [(each.low, each.high) for each in map(_interval, shares.T)]
-        mean = [(weights[:, None] * each).sum(axis=0) for each in (cross, own, driver)]
-        return tuple(
-            Band(*edge, float(share), _coherence(*(each[inside] for each in mean)), *end)
-            for edge, share, inside, end in zip(
-                pairwise(edges), shares[0], insides, ends, strict=True
-            )
-        )
 
-    def _spectra(self, gap: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Frequencies, and spectra (flights, frequencies): cross, gap's, driver's."""
-        rate, segment = self.rate_hz, self.segment
-        found = []
-        for f, n in enumerate(self.lengths):
-            own, lever = bridge_gaps(gap[f, :n]), self.driver[f, :n] - self.driver[f, :n].mean()
-            frequency, cross = csd(own, lever, rate, nperseg=segment, detrend=False)
-            power = [welch(x, rate, nperseg=segment, detrend=False)[1] for x in (own, lever)]
-            found.append((cross, *power))
-        cross, own, driver = (np.stack([each[k] for each in found]) for k in range(3))
-        return frequency, cross, own, driver
+def _spectra(
+    flights: Flights, gap: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Frequencies, and spectra (flights, frequencies): cross, gap's, driver's."""
+    signals, rate_hz = flights.signals, 1.0 / flights.signals.dt_s
+    segment = int(min(_SEGMENT_S * rate_hz, flights.lengths.min()))
+    levers, found = flights.u[..., signals.u(signals.driver)], []
+    for own, lever, n in zip(gap, levers, flights.lengths, strict=True):
+        pair = bridge_gaps(own[:n]), lever[:n] - lever[:n].mean()
+        frequency, cross = csd(*pair, rate_hz, nperseg=segment, detrend=False)
+        power = [welch(x, rate_hz, nperseg=segment, detrend=False)[1] for x in pair]
+        found.append((cross, *power))
+    cross, own, driver = (np.stack(each) for each in zip(*found, strict=True))
+    return frequency, cross, own, driver
 
 
 def _coherence(cross: FloatArray, own: FloatArray, driver: FloatArray) -> float:
@@ -383,8 +371,5 @@ def theil(real: FloatArray, sim: FloatArray) -> Theil:
 
 def theil_of(data: Record) -> dict[str, Theil]:
     """Theil's split of every output, over all flights as one series."""
-    sim = np.where(np.isfinite(data.real), data.flights.y, np.nan)
-    return {
-        name: theil(data.real[..., k].ravel(), sim[..., k].ravel())
-        for k, name in enumerate(data.flights.signals.outputs)
-    }
+    real, sim = (each.reshape(-1, each.shape[2]).T for each in (data.real, data.flights.y))
+    return dict(zip(data.flights.signals.outputs, map(theil, real, sim), strict=True))

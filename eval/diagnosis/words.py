@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterator, Mapping
 from typing import Any, Final
 
 from eval.judging.outcome import Outcome
-from eval.report.style import number
+from eval.report.style import decimals, number
 from narxcal.channels import CHANNELS, symbol
 from narxcal.effects.library import effect, name_of
 from narxcal.effects.steady import SWITCHES, TAKEN
@@ -64,10 +64,9 @@ def listed(words: list[str], last: str = "and") -> str:
 
 def size_words(size: Size) -> str:
     """A size with unit and interval, to two digits of the interval: `1.80 s (1.62 to 1.98)`."""
-    low, high = size["low"], size["high"]
-    ends = [_text(size, each) for each in (low, high)]
-    unit = _printed(size.get("unit", "-"))
-    return f"{_text(size, size['value'])} {unit}".rstrip() + f" ({ends[0]} to {ends[1]})"
+    value, low, high = (_text(size, size[key]) for key in ("value", "low", "high"))
+    unit = size.get("unit", "-").replace("degC", "°C").replace("deg", "°")
+    return f"{value} {unit}".rstrip(" -") + f" ({low} to {high})"
 
 
 def parameter_words(name: str) -> str:
@@ -107,27 +106,12 @@ def _holds_0(low: float | None, high: float | None) -> bool:
 
 def _text(size: Size, value: float | None) -> str:
     low, high = size["low"], size["high"]
-    digits = None if low is None or high is None else _decimals(0.5 * (high - low), 2)
-    if digits is None or value is None or not math.isfinite(value):
+    width = 0.0 if low is None or high is None else 0.5 * (high - low)
+    if value is None or not (math.isfinite(value) and math.isfinite(width) and width > 0.0):
         return number(value)
-    return _plain(value, digits)
-
-
-def _decimals(width: float, digits: int) -> int | None:
-    """Decimals that show `digits` significant digits of a width; None of what has no width."""
-    if not (math.isfinite(width) and width > 0.0):
-        return None
-    exponent = int(f"{width:.{digits - 1}e}".partition("e")[2])
-    return min(max(digits - 1 - exponent, 0), 6)
-
-
-def _plain(value: float, digits: int) -> str:
+    digits = decimals(width, 2)
     near = round(value, digits) + 0.0
     return f"{near:.{digits}f}" if near else "0"
-
-
-def _printed(name: str) -> str:
-    return "" if name == "-" else name.replace("degC", "°C").replace("deg", "°")
 
 
 def sentences(document: Row) -> list[str]:
@@ -154,13 +138,12 @@ def sentences(document: Row) -> list[str]:
 
 def _claim(name: str, row: Row, shares: Mapping[str, Row]) -> str:
     text = f"{in_words(name)}, {percent(row['probability'])} probable, {surest_words(row)}"
-    share = shares.get(name)
-    if share is None:
-        return f"{text[:1].upper()}{text[1:]}."
-    most = max(share["channels"], key=lambda each: share["channels"][each])
-    whole = sum(each["channels"].get(most, 0.0) for each in shares.values())
-    part = share["channels"][most] / whole if whole > 0.0 else 0.0
-    text += f": {percent(share['share'])} of the gap, {percent(part)} of that of {symbol(most)}"
+    if name in shares:
+        share, own = shares[name]["share"], shares[name]["channels"]
+        most = max(own, key=lambda each: own[each])
+        whole = sum(each["channels"].get(most, 0.0) for each in shares.values())
+        part = own[most] / whole if whole > 0.0 else 0.0
+        text += f": {percent(share)} of the gap, {percent(part)} of that of {symbol(most)}"
     return f"{text[:1].upper()}{text[1:]}."
 
 

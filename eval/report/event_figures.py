@@ -19,10 +19,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from eval.report import style
-from eval.report.style import AnyFloats, Picture, envelope, picture, spans, with_unit
+from eval.report.style import Picture, envelope, picture, spans, with_unit
 from eval.report.view import Curves, LogView
 from narxcal.channels import symbol
-from narxcal.support.arrays import FloatArray
+from narxcal.support.arrays import AnyFloats, FloatArray
 from training.responses.rules import time_bands
 from training.responses.transients import AssessedEvent, Assessment
 

@@ -23,17 +23,14 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.ticker import FuncFormatter, MaxNLocator
-from numpy.typing import NDArray
 
 from narxcal.channels import described, symbol
 from narxcal.intervals import LEVEL
-from narxcal.support.arrays import BoolArray, FloatArray
+from narxcal.support.arrays import AnyFloats, BoolArray, FloatArray
 from narxcal.support.arrays import spans as runs_of
 from narxcal.support.moments import dated, elapsed, stamp
 
 NOTHING = "\N{EN DASH}"
-
-AnyFloats = NDArray[np.floating[Any]]
 
 MAX_POINTS = 1500
 
@@ -47,11 +44,14 @@ def number(value: float | None, digits: int = 3) -> str:
     """Print `digits` significant digits without an exponent; a dash for what does not exist."""
     if value is None or not math.isfinite(value):
         return NOTHING
-    if value == 0.0:
-        return "0"
+    return "0" if value == 0.0 else f"{value:.{decimals(value, digits)}f}"
+
+
+def decimals(value: float, digits: int) -> int:
+    """Decimals, up to six, that show `digits` significant digits of a finite value but 0."""
     # The exponent after rounding: 0.9997 is 1.00, as 1.0004 is.
-    decimals = max(0, digits - 1 - int(f"{value:.{digits - 1}e}".partition("e")[2]))
-    return f"{value:.{min(decimals, 6)}f}"
+    exponent = int(f"{value:.{digits - 1}e}".partition("e")[2])
+    return min(max(digits - 1 - exponent, 0), 6)
 
 
 @dataclass(frozen=True)

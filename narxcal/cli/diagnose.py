@@ -22,7 +22,7 @@ from narxcal.cli.console import Console
 from narxcal.cli.options import SIMULATOR, add_mapping, add_out, add_trust, path
 from narxcal.cli.results import read_config
 from narxcal.support.errors import ConfigError
-from narxcal.support.files import Results, atomic_write_text, to_json
+from narxcal.support.files import Results
 
 DOCUMENT, PAGE = "gap.json", "gap.html"
 RESULTS = Results("narxcal.gap/", DOCUMENT, (PAGE, EMULATOR))
@@ -100,8 +100,7 @@ def write(folder: Path, found: Answer) -> dict[str, Any]:
     quality = found.document["quality"]
     quality = {**quality, "warnings": [*quality["warnings"], *page.failed]}
     document = {**found.document, "quality": quality}
-    (folder / DOCUMENT).write_text(to_json(document), encoding="utf-8")
-    atomic_write_text(folder / PAGE, page.html)
+    RESULTS.write(folder, document, page.html)
     (folder / EMULATOR).mkdir()
     write_emulator(folder / EMULATOR, found.evidence.emulator)
     return document

@@ -180,8 +180,8 @@ def _with_effects(options: Namespace, console: Console) -> int:
     results.check(options.out)
     found = read_effects(options.effects)
     simulator = open_simulator(options.sim, trust=options.trust)
-    how = simulator.how
-    found.check(again=not isinstance(how, Path))
+    how, again = simulator.how, simulator.again
+    found.check(again=again is not None)
     config = None if options.config is None else read_config(options.config, None)[0]
     inputs = read_folder(options.inputs_folder, config)
     source = read_folder(how, config) if isinstance(how, Path) else how
@@ -190,13 +190,12 @@ def _with_effects(options: Namespace, console: Console) -> int:
         for number, (name, log) in enumerate(inputs.items()):
             advance(number, len(inputs), name)
             sim = match_simulated(name, log, source)
-            again = None if isinstance(how, Path) else how
             rows.append(_added(folder, found, (name, log, sim), again))
         document = {
             "schema": EFFECTS_SCHEMA,
             "effects": {name: dict(sizes) for name, sizes in found.values.items()},  # noqa: PD011
             "simulator": simulator.kind,
-            "applied": found.ways(again=not isinstance(how, Path)),
+            "applied": found.ways(again=again is not None),
             "logs": rows,
         }
         results.write(folder, document)
@@ -219,13 +218,12 @@ def _added(
     channels, change = _changed(sim, outputs, found.signals.outputs)
     channels["time_s"] = given.time_s[: len(sim)]
     (folder / f"{name}.csv").write_bytes(log_csv(channels).encode())
-    load = found.knows(name) if found.has_load else None
     unknown = {n: int(np.isnan(outputs[n]).sum()) for n in found.signals.outputs}
     return {
         "log": name,
         "samples": len(sim),
         "rms_change": change,
-        "load_known": load,
+        "load_known": found.load_known(name),
         "blank": {n: count for n, count in unknown.items() if count},
     }
 

@@ -21,7 +21,7 @@ from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
-from narxcal.atmosphere import air_state
+from narxcal.atmosphere import air_at
 from narxcal.channels import described
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError
@@ -161,9 +161,7 @@ class Signals:
         """
         if "ALT_ft" not in self.inputs:
             return np.ones(u.shape[:-1])
-        mach = u[..., self.u("Mach")] if "Mach" in self.inputs else 0.0
-        dt_c = u[..., self.u("dT_C")] if "dT_C" in self.inputs else 0.0
-        air = air_state(u[..., self.u("ALT_ft")], mach, dt_c)
+        air = air_at(u, self.inputs)
         return np.asarray(air.delta2 / np.sqrt(air.theta2))
 
 

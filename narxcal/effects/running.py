@@ -19,14 +19,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from narxcal.effects.base import (
-    Effect,
-    Pace,
-    Run,
-    Signals,
-    as_simulated,
-    together,
-)
+from narxcal.effects.base import Effect, Pace, Run, Signals, as_simulated, together
 from narxcal.effects.steady import UNLOGGED
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError
@@ -64,11 +57,9 @@ def with_load(flights: Flights, on: FloatArray, *, always: bool = False) -> Flig
     """
     if not (always or on.any()):
         return flights
-    signals = flights.signals
-    names = (*signals.inputs, UNLOGGED), (*signals.active, UNLOGGED)
-    more = replace(signals, inputs=names[0], active=names[1])
-    u = np.concatenate([flights.u, on[..., None]], axis=2)
-    return replace(flights, signals=more, u=u)
+    inputs, active = (*flights.signals.inputs, UNLOGGED), (*flights.signals.active, UNLOGGED)
+    signals = replace(flights.signals, inputs=inputs, active=active)
+    return replace(flights, signals=signals, u=np.concatenate([flights.u, on[..., None]], axis=2))
 
 
 class Emulator(Protocol):

@@ -14,7 +14,7 @@ from narxcal.export import proof
 from narxcal.export.program import Program
 from narxcal.export.proof import Case, Trial, held, row_of
 from narxcal.steady.fmu import open_unit
-from narxcal.support.arrays import FloatArray
+from narxcal.support.arrays import FloatArray, on_lines
 
 STEPS_S = (0.1, 0.02, 0.25)  # communication steps of the proof, next to the model's own
 _TIMED = 20_000  # steps over which the time of one is measured
@@ -126,7 +126,7 @@ def _between(inputs: FloatArray, step_s: float, other_s: float) -> FloatArray:
     """Inputs every `other_s`, on the lines between those every `step_s`."""
     times = np.arange(len(inputs)) * step_s
     at = np.arange(0.0, times[-1] + 1e-9, other_s)
-    return np.column_stack([np.interp(at, times, column) for column in inputs.T])
+    return on_lines(at, times, inputs)
 
 
 def _common(points: int, samples: int, ratio: float) -> tuple[list[int], list[int]]:

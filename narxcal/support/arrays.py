@@ -5,10 +5,13 @@ Signals are `(time,)` with NaN where nothing was measured, flags are bool `(time
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
+AnyFloats = NDArray[np.floating[Any]]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 
@@ -58,6 +61,11 @@ def bridge_gaps(values: FloatArray) -> FloatArray:
         return values
     index = np.arange(len(values))
     return np.interp(index, index[known], values[known])
+
+
+def on_lines(at: AnyFloats, times: AnyFloats, rows: FloatArray) -> FloatArray:
+    """Values `at` some times on the lines between `rows` (time, n) at `times`, held beyond."""
+    return np.column_stack([np.interp(at, times, column) for column in rows.T])
 
 
 def known_mean(values: FloatArray, axis: int = 0) -> FloatArray:

@@ -191,7 +191,12 @@ def test_of_two_flights_of_one_name_no_window_is_known(tmp_path, signals):
     (tmp_path / "gap.json").write_text(json.dumps(stored), "utf-8")
     found = read_effects(tmp_path)
     assert found.windows == {"f2": ((20.0, 25.0),)}
-    assert [found.knows(name) for name in ("f0", "f1", "f2", "f3")] == [True, False, True, False]
+    assert [found.load_known(name) for name in ("f0", "f1", "f2", "f3")] == [
+        True,
+        False,
+        True,
+        False,
+    ]
 
 
 def simulate(log):

@@ -3,7 +3,7 @@
 import numpy as np
 
 from data_prep.events import Event
-from eval.diagnosis.flights import MOVES, events_of, sort_samples
+from eval.diagnosis.flights import MOVES, events_of, moves_of, regimes_of
 from tests.eval.diagnosis.conftest import batch
 
 
@@ -15,7 +15,7 @@ def test_phases_of_a_lag_are_those_of_its_closed_form(make_data):
     event = Event("f", 158, 318, 0, "fast", 158 * dt_s, 0.0, 1.0, settled=True, interrupted=False)
     time = np.arange(n) * dt_s
     y[0, :, 0] = np.where(time < 20.0, 30.0, 90.0 - 60.0 * np.exp(-(time - 20.0) / 1.5))
-    move = sort_samples(data, ((event,),)).move[0]
+    move = moves_of(data, ((event,),))[0]
     phases = [MOVES[k] for k in move]
     assert phases[158] == ("steady", "steady")
     assert phases[159:162] == [("push", "initiation")] * 3
@@ -30,20 +30,20 @@ def test_a_move_too_small_to_read_is_all_settling(make_data):
     data = make_data(flights=1)
     event = Event("f", 100, 150, 1, "small", 12.5, 1.0, 0.9, settled=True, interrupted=False)
     data.flights.y[0, 90:160, 0] = 60.0
-    move = sort_samples(data, ((event,),)).move[0]
+    move = moves_of(data, ((event,),))[0]
     assert {MOVES[k] for k in move[101:150]} == {("pull", "settling")}
 
 
 def test_beyond_its_end_a_flight_has_no_samples(pair):
     data = batch([pair(0, duration_s=60.0), pair(1, duration_s=90.0)])
-    move = sort_samples(data, events_of(data)).move
+    move = moves_of(data, events_of(data))
     assert (move[0, 480:] == -1).all()
     assert (move[0, :480] >= 0).all()
 
 
 def test_regimes_are_levels_of_altitude_mach_power_and_bleed(make_data):
     data = make_data(flights=2)
-    regimes = sort_samples(data, events_of(data)).regimes
+    regimes = regimes_of(data)
     assert set(regimes) == {"power", "altitude", "Mach", "bleed"}
     levels, index = regimes["altitude"]
     altitude = data.flights.u[..., data.flights.signals.u("ALT_ft")]

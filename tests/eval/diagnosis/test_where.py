@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eval.diagnosis.flights import MOVES, events_of, sort_samples
+from eval.diagnosis.flights import MOVES, events_of, moves_of
 from eval.diagnosis.where import locate, side_of, without_nuisances
 from training.diagnosis.metric import TOLERANCE
 
@@ -39,7 +39,7 @@ def test_the_core_is_the_smallest_set_that_holds_70_percent(make_data, probe):
 
 def planted(data, direction, phase, size=0.02):
     """A gap of `size` ranges on N2 in one bin alone."""
-    move = sort_samples(data, events_of(data)).move
+    move = moves_of(data, events_of(data))
     data.real[..., 1] += np.where(move == MOVES.index((direction, phase)), size * data.span[1], 0.0)
     return data
 
@@ -65,7 +65,7 @@ def test_noise_alone_is_nowhere(make_data):
 def test_what_an_effect_does_is_told_apart_from_the_rest_of_the_gap(make_data):
     data = planted(make_data(), "steady", "steady", 0.05)
     explained = np.zeros_like(data.flights.y)
-    move = sort_samples(data, events_of(data)).move
+    move = moves_of(data, events_of(data))
     explained[..., 0] = np.where(move == MOVES.index(("push", "transit")), 1.0, 0.0)
     explained[..., 2] = np.where(move == MOVES.index(("pull", "transit")), 1.0, 0.0)
     rows = {(row.channel, row.direction, row.phase): row for row in locate(data, explained).rows}
