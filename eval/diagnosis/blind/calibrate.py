@@ -44,6 +44,7 @@ from training.diagnosis.layers import (
     log_odds,
     prior,
 )
+from training.diagnosis.remainder import left_of_build
 from training.diagnosis.verdict import Engines, weigh
 
 RIDGE: Final = 0.1
@@ -248,7 +249,8 @@ def weigh_case(case: Path, truth: Mapping[str, Any]) -> dict[str, Any]:
         frame, tried = compound_fits(evidence.setting, [singles[name]])
         further.append({"leader": name, **_row(tried, *features(frame, tried))})
     own = _row(evidence.singles, evidence.effects, evidence.case)
-    return {"truth": truth, **own, "further": further}
+    left = float(left_of_build(evidence.frame)[1].max())
+    return {"truth": truth, **own, "further": further, "left": left}
 
 
 def _row(singles: Sequence[Single], effects: FloatArray, case: FloatArray) -> dict[str, Any]:
