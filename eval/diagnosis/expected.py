@@ -299,7 +299,7 @@ def taken_off(frame: Frame, change: FloatArray) -> Interval:
 
     It is what effects do in each unit by what the other units give. Of its energy m in a unit it
     takes a m + e off, with e of a variance that goes with m: whether a is above zero depends
-    neither on how much a flight lets effects do, nor on how large the gap is beside them. With a
+    neither on how much a flight lets effects do, nor on how large the rest of the gap is. With a
     90 % interval by Student's distribution.
     """
     inner, _, toward = frame.inner(change[None])

@@ -26,7 +26,7 @@ from training.diagnosis.nuisances import BUILD, SMALL
 _BINS: Final = 5
 _FEWEST_S: Final = 5.0  # of a bin in a unit
 _LEVEL: Final = 0.95  # of Student's distribution: a 90 % interval
-_LEFT: Final = 0.5  # of what builds differ by, RMS: nulls leave less (docs/blind.md)
+_LEFT: Final = 0.5  # of what builds differ by, RMS: most nulls leave less (docs/blind.md)
 _REST: Final = "steady"  # the phase in which nothing moves
 
 

@@ -86,7 +86,7 @@ def test_an_effect_takes_something_off_however_unlike_flights_are(make_data, pro
 
 
 def test_an_effect_of_a_small_part_of_the_gap_takes_something_off(make_data, probe):
-    """Beside a steady shift of a hundred times its energy, which has nothing to do with it."""
+    """Of a gap that is a steady shift of a hundred times its energy for the rest."""
     data = make_data(probe, flights=4)
     whole = held_out({"sensor_lag:EGT_C": {"tau_s": 1.0}}, data, None).after - data.flights.y
     shifted = replace(data, real=data.real + np.array([0.0, 1.0, 0.0]) * data.span)
